@@ -1,0 +1,8 @@
+"""Camera models: pixels to unit rays and back."""
+
+from classical.camera.base import Camera as Camera
+from classical.camera.base import pixel_grid as pixel_grid
+from classical.camera.division import Division as Division
+from classical.camera.kannala_brandt import KannalaBrandt as KannalaBrandt
+from classical.camera.kannala_brandt import UnprojectionJacobian as UnprojectionJacobian
+from classical.camera.pinhole import Pinhole as Pinhole
