@@ -202,7 +202,7 @@ def test_crop_keeps_rays_in_place(x: int, y: int, seed: int) -> None:
     cut = lens.cropped(x, y, 400, 300)
     points = np.array([[10.0, 20.0], [300.5, 250.25]])
     assert cut.m_u == pytest.approx(200.0)
-    expected = lens.unproject(points + [x, y])[0]
+    expected = lens.unproject(points + np.array([x, y]))[0]
     np.testing.assert_allclose(cut.unproject(points)[0], expected, atol=1e-12)
 
 

@@ -47,7 +47,7 @@ class KannalaBrandt:
         height: Picture height in pixels.
     """
 
-    k: Float[np.ndarray, "5"]
+    k: Float[np.ndarray, " 5"]
     m_u: float
     m_v: float
     u0: float
@@ -83,13 +83,13 @@ class KannalaBrandt:
     # ---- construction and conversion -------------------------------------------------------
 
     @classmethod
-    def centred(cls, k: Float[np.ndarray, "5"], width: int, height: int) -> KannalaBrandt:
+    def centred(cls, k: Float[np.ndarray, " 5"], width: int, height: int) -> KannalaBrandt:
         """Square pixels, the principal point in the middle, m_u = m_v = width / 2."""
         half = width / 2
         return cls(k, half, half, (width - 1) / 2, (height - 1) / 2, width, height)
 
     @classmethod
-    def from_vector(cls, vector: Float[np.ndarray, "9"], width: int, height: int) -> KannalaBrandt:
+    def from_vector(cls, vector: Float[np.ndarray, " 9"], width: int, height: int) -> KannalaBrandt:
         """The camera of a vector (k1..k5, m_u, m_v, u0, v0), the inverse of `to_vector`."""
         if vector.shape != (N_PARAMETERS,):
             raise ValueError(f"Expected a vector of shape ({N_PARAMETERS},), got {vector.shape}.")
@@ -100,7 +100,7 @@ class KannalaBrandt:
     def from_opencv(
         cls,
         K: Float[np.ndarray, "3 3"],
-        D: Float[np.ndarray, "4"],
+        D: Float[np.ndarray, " 4"],
         width: int,
         height: int,
     ) -> KannalaBrandt:
@@ -119,11 +119,11 @@ class KannalaBrandt:
         m_v = float(K[1, 1] / k1)
         return cls(k, width / 2, m_v, float(K[0, 2]), float(K[1, 2]), width, height)
 
-    def to_vector(self) -> Float[np.ndarray, "9"]:
+    def to_vector(self) -> Float[np.ndarray, " 9"]:
         """The parameters (k1..k5, m_u, m_v, u0, v0)."""
         return np.array([*self.k, self.m_u, self.m_v, self.u0, self.v0], dtype=np.float64)
 
-    def to_opencv(self) -> tuple[Float[np.ndarray, "3 3"], Float[np.ndarray, "4"]]:
+    def to_opencv(self) -> tuple[Float[np.ndarray, "3 3"], Float[np.ndarray, " 4"]]:
         """K and D of `cv2.fisheye`: fx = k1 m_u, D_i = k_{i+1} / k1. Exact: it is one model."""
         k1 = self.k[0]
         K = np.array(
@@ -280,7 +280,7 @@ class KannalaBrandt:
             valid: True where the lens reaches the pixel.
         """
         check_points("points", points, 2)
-        finite = np.isfinite(points).all(axis=1)
+        finite = np.asarray(np.isfinite(points).all(axis=1))
         x, y = self._plane(np.where(finite[:, None], points, [self.u0, self.v0]))
         radius = np.hypot(x, y)
         theta, valid = self.theta(radius)
@@ -358,7 +358,7 @@ class KannalaBrandt:
         by_rays *= m[:, None]
 
         by_parameters = np.zeros((len(rays), 2, N_PARAMETERS))
-        azimuth = np.stack(_azimuth(x, y, across), axis=1)
+        azimuth = _azimuth(x, y, across).T
         by_parameters[:, :, :5] = (azimuth * m)[:, :, None] * self.radius_jacobian(theta)[:, None]
         by_parameters[:, 0, 5] = azimuth[:, 0] * radius
         by_parameters[:, 1, 6] = azimuth[:, 1] * radius

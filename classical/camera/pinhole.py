@@ -82,4 +82,4 @@ class Pinhole:
         y = (points[:, 1] - self.v0) / self.focal_v
         rays = np.stack([x, y, np.ones_like(x)], axis=1)
         rays /= np.linalg.norm(rays, axis=1, keepdims=True)
-        return rays, np.isfinite(points).all(axis=1)
+        return rays, np.asarray(np.isfinite(points).all(axis=1))
