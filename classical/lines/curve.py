@@ -1,0 +1,78 @@
+"""The one type of curve: an ordered polyline of sub-pixel points, from whatever source."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from jaxtyping import Float
+
+
+@dataclass(frozen=True, eq=False)
+class Curve:
+    """A smooth curve in a picture that may be the image of a straight line.
+
+    Attributes:
+        points: Pixels (u, v) in order along the curve, top-left pixel's centre = (0, 0), shape
+            (n, 2). Steps need not be equal; joined curves have gaps.
+        sigma: Standard deviation of a point across the curve, pixels.
+        strength: How surely this is an image of a line, in [0, 1].
+    """
+
+    points: Float[np.ndarray, "n 2"]
+    sigma: float
+    strength: float
+
+    def __post_init__(self) -> None:
+        points = np.array(self.points, dtype=np.float64)
+        if points.ndim != 2 or points.shape[1] != 2 or len(points) < 2:
+            raise ValueError(f"Expected points of shape (n >= 2, 2), got {points.shape}.")
+        if not np.isfinite(points).all():
+            raise ValueError("Expected finite points, got a NaN or an infinity.")
+        if not self.sigma > 0 or not 0 <= self.strength <= 1:
+            raise ValueError(
+                "Expected sigma > 0 and strength in [0, 1], "
+                f"got sigma={self.sigma:g} and strength={self.strength:g}."
+            )
+        points.setflags(write=False)
+        object.__setattr__(self, "points", points)
+
+    @cached_property
+    def _arc_length(self) -> np.ndarray:
+        steps = np.hypot(*np.diff(self.points, axis=0).T)
+        return np.concatenate([[0.0], np.cumsum(steps)])
+
+    @property
+    def length(self) -> float:
+        """Length along the polyline, gaps included, pixels."""
+        return float(self._arc_length[-1])
+
+    @property
+    def chord(self) -> float:
+        """Distance between the two ends, pixels."""
+        return float(np.hypot(*(self.points[-1] - self.points[0])))
+
+    def resampled(self, spacing: float) -> Curve:
+        """The same curve with a point every `spacing` pixels, each the mean of its neighbours.
+
+        The curve is cut into stretches of equal length and the points of a stretch are averaged,
+        which keeps what they know; stretches without points (gaps) give none. On a bend of radius
+        R the mean lies spacing² / 24 R inside, a hundredth of a pixel for 5 px and R = 100 px.
+
+        Args:
+            spacing: Distance between points, pixels.
+        """
+        if not spacing > 0:
+            raise ValueError(f"Expected spacing > 0, got {spacing:g}.")
+        count = max(1, round(self.length / spacing))
+        if count < 2 or count >= len(self.points):
+            return self
+        cell = np.minimum((self._arc_length * (count / self.length)).astype(int), count - 1)
+        number = np.bincount(cell, minlength=count)
+        used = number > 0
+        means = [
+            np.bincount(cell, weights=self.points[:, axis], minlength=count)[used] / number[used]
+            for axis in (0, 1)
+        ]
+        return replace(self, points=np.stack(means, axis=1))
