@@ -17,9 +17,7 @@ _NEWTON_STEPS = 3
 _SMALLEST_SLOPE = 1e-6
 
 
-def radius(
-    theta: Float[Tensor, "b *n"], k: Float[Tensor, "b 5"]
-) -> Float[Tensor, "b *n"]:
+def radius(theta: Float[Tensor, "b ..."], k: Float[Tensor, "b 5"]) -> Float[Tensor, "b ..."]:
     """Image radius of rays at angle `theta` from the axis.
 
     Args:
@@ -37,8 +35,8 @@ def radius(
 
 
 def radius_derivative(
-    theta: Float[Tensor, "b *n"], k: Float[Tensor, "b 5"]
-) -> Float[Tensor, "b *n"]:
+    theta: Float[Tensor, "b ..."], k: Float[Tensor, "b 5"]
+) -> Float[Tensor, "b ..."]:
     """Derivative dr/dθ = Σ (2i − 1) k_i θ^(2i−2).
 
     Args:
@@ -55,9 +53,7 @@ def radius_derivative(
     return value
 
 
-def monotone_limit(
-    k: Float[Tensor, "b 5"], *, upper: float = math.pi
-) -> Float[Tensor, " b"]:
+def monotone_limit(k: Float[Tensor, "b 5"], *, upper: float = math.pi) -> Float[Tensor, " b"]:
     """Largest angle up to which r(θ) rises strictly, at most `upper`.
 
     The first sign change of dr/dθ on a grid of half a degree, refined by a secant step.
@@ -84,10 +80,10 @@ def monotone_limit(
 
 
 def theta_from_radius(
-    r: Float[Tensor, "b *n"],
+    r: Float[Tensor, "b ..."],
     k: Float[Tensor, "b 5"],
     theta_max: Float[Tensor, " b"],
-) -> tuple[Float[Tensor, "b *n"], Bool[Tensor, "b *n"]]:
+) -> tuple[Float[Tensor, "b ..."], Bool[Tensor, "b ..."]]:
     """Invert r(θ) on [0, `theta_max`]; the inverse of `radius`.
 
     A table of the rising branch gives the bracket, Newton steps kept inside it give the root. The
@@ -114,16 +110,11 @@ def theta_from_radius(
             root = torch.minimum(torch.maximum(root, low), high)
         slope = radius_derivative(root, k).clamp_min(_SMALLEST_SLOPE)
         valid = flat <= edge
-    theta = (
-        root
-        - torch.where(valid, radius(root, k) - flat, torch.zeros_like(flat)) / slope
-    )
+    theta = root - torch.where(valid, radius(root, k) - flat, torch.zeros_like(flat)) / slope
     return theta.reshape(shape), valid.reshape(shape)
 
 
-def _bracket(
-    r: Tensor, k: Tensor, theta_max: Tensor
-) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+def _bracket(r: Tensor, k: Tensor, theta_max: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
     """Start angle, lower and upper bound for each radius, and the circle's radius per lens."""
     unit = torch.linspace(0.0, 1.0, _INVERSE_NODES, dtype=r.dtype, device=r.device)
     nodes = theta_max.detach().to(r.dtype)[:, None] * unit
