@@ -1,5 +1,7 @@
 """From a picture or a heatmap to curves that may be images of straight lines."""
 
 from classical.lines.curve import Curve as Curve
+from classical.lines.joining import JoinConfig as JoinConfig
+from classical.lines.joining import join_curves as join_curves
 from classical.lines.vectorise import ImageCurvesConfig as ImageCurvesConfig
 from classical.lines.vectorise import curves_from_image as curves_from_image

@@ -1,129 +1,252 @@
-"""Pieces of one line joined: by smooth continuation, or on a great circle of a known camera."""
+"""Pieces of one line joined under a camera: curves that lie on one great circle.
+
+With n the normal of the circle and r the ray of a pixel, e = (n·r) / |∂(n·r)/∂pixel| is the
+distance of the pixel from the line's image to first order (Sampson), in pixels of the photograph.
+For fixed weights the sum of its squares is nᵀ A n with A = Σ r rᵀ / |∂(n·r)/∂pixel|², and the A of
+two curves add up: a pair is tried by the smallest eigenvector of a 3x3 matrix. Polarity plays no
+part, so the edges of a chessboard, which flip at every corner, are joined to whole lines.
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float, Int
-from scipy.spatial import cKDTree
+from jaxtyping import Float
 
-from classical.lines.smooth import counter_bend, fit_arcs, gather_ranges, polynomial_degrees
+from classical.camera.base import Camera
+from classical.lines.curve import Curve
+
+_SPACING = 4.0  # pixels between the points that are used to compare curves
+_STEP = 0.5  # pixels, for derivatives of rays
+_REWEIGHTINGS = 2
 
 
 @dataclass(frozen=True)
-class ContinuationConfig:
-    """When two arcs are taken for one without knowing the lens; lengths in working pixels.
+class JoinConfig:
+    """When curves are taken for pieces of one line.
 
     Attributes:
-        max_gap: Widest gap, pixels …
-        max_gap_share: … and as a share of the shorter arc's length.
-        min_alignment: Smallest cosine between the end tangents, and to the gap.
-        max_rms: Largest root mean square distance from the common polynomial.
-        max_counter_bend: As in `SmoothConfig`.
+        max_rms: Largest root mean square distance of either piece from the common circle, pixels …
+        noise_factor: … or so many times that from its own circle, which grows with the camera's
+            error; the larger counts.
+        max_gap_share: Widest gap as a share of the longer piece …
+        max_gap_share_short: … and of the shorter piece.
+        max_gap: Gaps up to this are always let pass, pixels.
+        max_overlap: Largest part of the shorter piece that may lie beside the longer one.
         rounds: Of pairwise joining.
     """
 
-    max_gap: float = 40.0
-    max_gap_share: float = 0.7
-    min_alignment: float = 0.985
-    max_rms: float = 0.3
-    max_counter_bend: float = 0.5
-    rounds: int = 5
+    max_rms: float = 0.5
+    noise_factor: float = 2.0
+    max_gap_share: float = 1.0
+    max_gap_share_short: float = 2.0
+    max_gap: float = 12.0
+    max_overlap: float = 0.15
+    rounds: int = 8
 
 
-def continue_arcs(
-    points: Float[np.ndarray, "m 2"],
-    offsets: Int[np.ndarray, " p1"],
-    *,
-    config: ContinuationConfig = ContinuationConfig(),
-) -> tuple[Int[np.ndarray, " m"], Int[np.ndarray, " q1"]]:
-    """Join arcs that continue each other smoothly across small gaps.
+@dataclass(frozen=True)
+class _Pieces:
+    """Curves as statistics of their rays; arrays have one row a piece."""
+
+    scatter: np.ndarray  # (p, 3, 3), A of the module's docstring
+    count: np.ndarray  # (p,) points behind it
+    rms: np.ndarray  # (p,) distance from the piece's own circle, pixels
+    length: np.ndarray  # (p,) pixels
+    ends: np.ndarray  # (p, 2, 2) pixels
+    end_rays: np.ndarray  # (p, 2, 3)
+    middle: np.ndarray  # (p, 3) mean ray
+    members: list[list[int]]  # indices of curves
+
+
+def join_curves(
+    curves: list[Curve], camera: Camera, *, config: JoinConfig = JoinConfig()
+) -> list[Curve]:
+    """Join curves that lie on one great circle, close to each other along it.
 
     Args:
-        points: Points in order along arcs, shape (m, 2).
-        offsets: Arc p is points[offsets[p] : offsets[p + 1]], shape (p + 1,).
-        config: When arcs are taken for one.
+        curves: Curves of one picture.
+        camera: The camera of the picture as far as it is known.
+        config: When curves are taken for one.
 
     Returns:
-        selected: Indices of all points, in order along the joined arcs, shape (m,).
-        offsets: Offsets of the joined arcs, shape (q + 1,).
+        Curves, of which joined ones hold the points of all their pieces in order along the circle;
+        the longest first. Curves that the camera does not see are returned as they are.
     """
-    arcs = [np.arange(a, b) for a, b in zip(offsets[:-1], offsets[1:], strict=True)]
+    pieces, unseen = _describe(curves, camera)
     for _ in range(config.rounds):
-        pairs = _continuing_pairs(points, arcs, config)
+        pairs = _best_pairs(pieces, config)
         if not len(pairs):
             break
-        taken: set[int] = set()
-        for first, first_end, second, second_end in pairs:
-            if first in taken or second in taken:
-                continue
-            taken |= {first, second}
-            arcs[first] = _concatenated(arcs[first], first_end, arcs[second], second_end)
-            arcs[second] = np.empty(0, dtype=np.int64)
-        arcs = [arc for arc in arcs if len(arc)]
-    lengths = np.array([len(arc) for arc in arcs], dtype=np.int64)
-    joined = np.concatenate(arcs) if arcs else np.empty(0, dtype=np.int64)
-    return joined, np.concatenate([[0], np.cumsum(lengths)]).astype(np.int64)
-
-
-def _concatenated(first: np.ndarray, first_end: int, second: np.ndarray, end: int) -> np.ndarray:
-    """First up to its end (0 start, 1 stop), then second from its end."""
-    return np.concatenate([first if first_end else first[::-1], second[::-1] if end else second])
-
-
-def _continuing_pairs(
-    points: np.ndarray, arcs: list[np.ndarray], config: ContinuationConfig
-) -> list[tuple[int, int, int, int]]:
-    """Pairs (arc, its end, arc, its end) that may be joined, the best first."""
-    if len(arcs) < 2:
-        return []
-    lengths = np.array([len(arc) for arc in arcs])
-    offsets = np.concatenate([[0], np.cumsum(lengths)])
-    packed = points[np.concatenate(arcs)]
-    tangents = fit_arcs(packed, offsets, degree=2).tangents
-    first, last = offsets[:-1], offsets[1:] - 1
-    place = np.concatenate([packed[first], packed[last]])
-    outward = np.concatenate([-tangents[first], tangents[last]])
-    pairs = cKDTree(place).query_pairs(config.max_gap, output_type="ndarray")
-    i, j = pairs.T
-    count = len(arcs)
-    gap = place[j] - place[i]
-    distance = np.hypot(*gap.T)
-    room = config.max_gap_share * np.minimum(lengths[i % count], lengths[j % count])
-    opposite = -(outward[i] * outward[j]).sum(axis=1)
-    slack = 1.5  # pixels: the direction of a tiny gap means nothing
-    ahead = np.minimum((outward[i] * gap).sum(axis=1), -(outward[j] * gap).sum(axis=1))
-    fits = (i % count != j % count) & (distance <= room) & (opposite > config.min_alignment)
-    fits &= ahead + slack > config.min_alignment * distance
-    i, j, distance = i[fits], j[fits], distance[fits]
-    if not len(i):
-        return []
-    trial = [
-        _concatenated(arcs[a % count], a // count, arcs[b % count], b // count)
-        for a, b in zip(i, j, strict=True)
+        pieces = _merge(pieces, pairs)
+    joined = [
+        curves[group[0]] if len(group) == 1 else _joined(curves, group, camera)
+        for group in pieces.members
     ]
-    rms, counter = _common_fit(points, trial)
-    good = (rms <= config.max_rms) & (counter <= config.max_counter_bend)
-    cost = distance / config.max_gap + rms / config.max_rms
-    order = np.flatnonzero(good)[np.argsort(cost[good], kind="stable")]
-    return [
-        (int(i[k] % count), int(i[k] // count), int(j[k] % count), int(j[k] // count))
-        for k in order
-    ]
+    return sorted(joined + [curves[k] for k in unseen], key=lambda curve: -curve.length)
 
 
-def _common_fit(points: np.ndarray, arcs: list[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
-    """Root mean square distance and counter-bend of one polynomial through each arc."""
-    lengths = np.array([len(arc) for arc in arcs])
-    stops = np.cumsum(lengths)
-    packed = points[np.concatenate(arcs)]
-    degrees = polynomial_degrees(lengths)
-    rms, counter = np.zeros(len(arcs)), np.zeros(len(arcs))
-    for degree in np.unique(degrees):
-        chosen = np.flatnonzero(degrees == degree)
-        selected, offsets = gather_ranges(stops[chosen] - lengths[chosen], stops[chosen])
-        fit = fit_arcs(packed[selected], offsets, degree=int(degree))
-        rms[chosen] = fit.rms
-        counter[chosen] = counter_bend(fit, offsets)[0]
-    return rms, counter
+def sampson_rays(
+    points: Float[np.ndarray, "n 2"], camera: Camera
+) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, "n 3 2"]]:
+    """Rays of pixels and their derivatives by central differences, any camera; NaN if unseen."""
+    rays, valid = camera.unproject(points)
+    derivative = np.empty((len(points), 3, 2))
+    for axis in (0, 1):
+        step = np.zeros(2)
+        step[axis] = _STEP
+        ahead, valid_ahead = camera.unproject(points + step)
+        behind, valid_behind = camera.unproject(points - step)
+        derivative[:, :, axis] = (ahead - behind) / (2 * _STEP)
+        valid = valid & valid_ahead & valid_behind
+    return np.where(valid[:, None], rays, np.nan), derivative
+
+
+def _describe(curves: list[Curve], camera: Camera) -> tuple[_Pieces, list[int]]:
+    """Statistics of the curves that the camera sees, and the indices of the others."""
+    coarse = [curve.resampled(_SPACING).points for curve in curves]
+    stops = np.cumsum([len(points) for points in coarse]).tolist()
+    if not curves:
+        none = np.empty((0, 3))
+        return _Pieces(
+            np.empty((0, 3, 3)), none[:, 0], none[:, 0], none[:, 0], np.empty((0, 2, 2)),
+            np.empty((0, 2, 3)), none, [],
+        ), []  # fmt: skip
+    rays, derivative = sampson_rays(np.concatenate(coarse), camera)
+    scatter, members, end_rays, middle, unseen = [], [], [], [], []
+    for k, stop in enumerate(stops):
+        piece = slice(stop - len(coarse[k]), stop)
+        if not np.isfinite(rays[piece]).all():
+            unseen.append(k)
+            continue
+        scatter.append(_scatter(rays[piece], derivative[piece]))
+        members.append([k])
+        end_rays.append(rays[piece][[0, -1]])
+        middle.append(rays[piece].mean(axis=0))
+    seen = [group[0] for group in members]
+    count = np.array([len(coarse[k]) for k in seen], dtype=float)
+    return _Pieces(
+        np.array(scatter).reshape(-1, 3, 3),
+        count,
+        _own_rms(np.array(scatter).reshape(-1, 3, 3), count),
+        np.array([curves[k].length for k in seen]),
+        np.array([curves[k].points[[0, -1]] for k in seen]).reshape(-1, 2, 2),
+        np.array(end_rays).reshape(-1, 2, 3),
+        np.array(middle).reshape(-1, 3),
+        members,
+    ), unseen
+
+
+def _scatter(rays: np.ndarray, derivative: np.ndarray) -> np.ndarray:
+    """A of one curve, weighted for its own circle."""
+    weight = np.ones(len(rays))
+    scatter = rays.T @ rays
+    for _ in range(_REWEIGHTINGS):
+        normal = np.linalg.eigh(scatter)[1][:, 0]
+        slope = np.einsum("i,nij->nj", normal, derivative)
+        weight = 1 / np.maximum((slope**2).sum(axis=1), 1e-20)
+        scatter = (rays * weight[:, None]).T @ rays
+    return scatter
+
+
+def _own_rms(scatter: np.ndarray, count: np.ndarray) -> np.ndarray:
+    """Root mean square distance of each piece from its own circle, pixels."""
+    return np.sqrt(np.maximum(np.linalg.eigvalsh(scatter)[:, 0], 0) / np.maximum(count - 2, 1))
+
+
+def _best_pairs(pieces: _Pieces, config: JoinConfig) -> list[tuple[int, int]]:
+    """Disjoint pairs of pieces of one line, the surest first."""
+    if len(pieces.members) < 2:
+        return []
+    i, j = np.triu_indices(len(pieces.members), 1)
+    gap = np.sqrt(
+        ((pieces.ends[i][:, :, None] - pieces.ends[j][:, None]) ** 2).sum(axis=-1)
+    ).reshape(len(i), 4).min(axis=1)  # fmt: skip
+    longer = np.maximum(pieces.length[i], pieces.length[j])
+    shorter = np.minimum(pieces.length[i], pieces.length[j])
+    room = np.minimum(config.max_gap_share * longer, config.max_gap_share_short * shorter)
+    near = gap <= np.maximum(room, config.max_gap)
+    i, j, gap = i[near], j[near], gap[near]
+    # a circle through both must pass near each: cheap bound before the eigenvalues
+    common = pieces.scatter[i] + pieces.scatter[j]
+    normal = np.linalg.eigh(common)[1][:, :, 0]
+    fits = np.ones(len(i), dtype=bool)
+    misfit = np.zeros(len(i))
+    for side in (i, j):
+        squared = np.einsum("ki,kij,kj->k", normal, pieces.scatter[side], normal)
+        rms = np.sqrt(np.maximum(squared, 0) / pieces.count[side])
+        limit = np.maximum(config.max_rms, config.noise_factor * pieces.rms[side])
+        fits &= rms <= limit
+        misfit = np.maximum(misfit, rms / limit)
+    fits &= _overlap(pieces, i, j, normal) <= config.max_overlap
+    cost = misfit + gap / np.maximum(pieces.length[i], pieces.length[j])
+    pairs, taken = [], set()
+    for k in np.flatnonzero(fits)[np.argsort(cost[fits], kind="stable")].tolist():
+        a, b = int(i[k]), int(j[k])
+        if a not in taken and b not in taken:
+            pairs.append((a, b))
+            taken |= {a, b}
+    return pairs
+
+
+def _overlap(pieces: _Pieces, i: np.ndarray, j: np.ndarray, normal: np.ndarray) -> np.ndarray:
+    """Part of the shorter piece that lies beside the longer one, by angle along the circle."""
+    axis = pieces.middle[i] + pieces.middle[j]
+    axis -= (axis * normal).sum(axis=1, keepdims=True) * normal
+    other = np.cross(normal, axis)
+    low, high = [], []
+    for side in (i, j):
+        rays = pieces.end_rays[side]
+        angle = np.arctan2(
+            np.einsum("kei,ki->ke", rays, other), np.einsum("kei,ki->ke", rays, axis)
+        )
+        low.append(angle.min(axis=1))
+        high.append(angle.max(axis=1))
+    shared = np.minimum(high[0], high[1]) - np.maximum(low[0], low[1])
+    shorter = np.minimum(high[0] - low[0], high[1] - low[1])
+    return np.maximum(shared, 0) / np.maximum(shorter, 1e-9)
+
+
+def _merge(pieces: _Pieces, pairs: list[tuple[int, int]]) -> _Pieces:
+    """Pieces with each pair replaced by its sum."""
+    first, second = np.array(pairs).T
+    scatter, count = pieces.scatter.copy(), pieces.count.copy()
+    scatter[first] += scatter[second]
+    count[first] += count[second]
+    middle = pieces.middle.copy()
+    middle[first] += middle[second]
+    ends, end_rays, length = pieces.ends.copy(), pieces.end_rays.copy(), pieces.length.copy()
+    members = [list(group) for group in pieces.members]
+    for a, b in pairs:
+        places = np.concatenate([pieces.ends[a], pieces.ends[b]])
+        rays = np.concatenate([pieces.end_rays[a], pieces.end_rays[b]])
+        apart = ((places[:, None] - places[None]) ** 2).sum(axis=-1)
+        far = list(np.unravel_index(int(apart.argmax()), apart.shape))
+        ends[a], end_rays[a] = places[far], rays[far]
+        length[a] = max(float(np.sqrt(apart.max())), length[a] + length[b])
+        members[a] = members[a] + members[b]
+    keep = np.setdiff1d(np.arange(len(members)), second)
+    return _Pieces(
+        scatter[keep],
+        count[keep],
+        _own_rms(scatter[keep], count[keep]),
+        length[keep],
+        ends[keep],
+        end_rays[keep],
+        middle[keep],
+        [members[k] for k in keep],
+    )
+
+
+def _joined(curves: list[Curve], group: list[int], camera: Camera) -> Curve:
+    """One curve of all points of a group, in order along their circle."""
+    points = np.concatenate([curves[k].points for k in group])
+    rays = camera.unproject(points)[0]
+    normal = np.linalg.eigh(rays.T @ rays)[1][:, 0]
+    axis = rays.mean(axis=0)
+    angle = np.arctan2(rays @ np.cross(normal, axis), rays @ axis)
+    weight = np.array([len(curves[k].points) for k in group], dtype=float)
+    sigma = np.sqrt(np.average([curves[k].sigma ** 2 for k in group], weights=weight))
+    strength = np.average([curves[k].strength for k in group], weights=weight)
+    return Curve(points[np.argsort(angle, kind="stable")], float(sigma), float(strength))

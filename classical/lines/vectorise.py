@@ -9,9 +9,9 @@ import numpy as np
 from jaxtyping import Float, Int, UInt8
 
 from classical.lines.chains import link_points
+from classical.lines.continuation import ContinuationConfig, continue_arcs
 from classical.lines.curve import Curve
 from classical.lines.edges import EdgeConfig, detect_edges
-from classical.lines.joining import ContinuationConfig, continue_arcs
 from classical.lines.rejection import (
     RejectionConfig,
     beside_surround,
