@@ -1,0 +1,10 @@
+"""The straightness fit: curves in, lens out."""
+
+from classical.fit.plumb_line import FitConfig as FitConfig
+from classical.fit.plumb_line import fit_lens as fit_lens
+from classical.fit.prior import LensPrior as LensPrior
+from classical.fit.prior import generic_prior as generic_prior
+from classical.fit.result import FittedCurve as FittedCurve
+from classical.fit.result import LensFit as LensFit
+from classical.fit.search import SearchConfig as SearchConfig
+from classical.fit.solve import SolverConfig as SolverConfig

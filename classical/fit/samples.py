@@ -1,0 +1,78 @@
+"""Points of many curves in flat arrays, the form in which the fit reads them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from classical.lines import Curve
+
+
+@dataclass(frozen=True)
+class CurveSamples:
+    """Evenly thinned points of C curves, one after the other.
+
+    Attributes:
+        points: Pixels of all curves, shape (n, 2).
+        starts: Index of each curve's first point, shape (C,).
+        spans: Length in pixels that each point stands for, shape (n,).
+    """
+
+    points: Float[np.ndarray, "n 2"]
+    starts: Int[np.ndarray, " curves"]
+    spans: Float[np.ndarray, " n"]
+
+    @property
+    def n_curves(self) -> int:
+        """Number of curves."""
+        return len(self.starts)
+
+    @property
+    def counts(self) -> Int[np.ndarray, " curves"]:
+        """Points a curve, shape (C,)."""
+        return np.diff(np.append(self.starts, len(self.points)))
+
+    @property
+    def owner(self) -> Int[np.ndarray, " n"]:
+        """Index of the curve that each point belongs to, shape (n,)."""
+        return np.repeat(np.arange(self.n_curves), self.counts)
+
+    def curve_sums(self, values: np.ndarray) -> np.ndarray:
+        """Sum `values` (n, …) over each curve: shape (C, …)."""
+        return np.add.reduceat(values, self.starts, axis=0)
+
+    def curve_rms(self, residuals: Float[np.ndarray, " n"]) -> Float[np.ndarray, " curves"]:
+        """Root mean square of the residuals of each curve."""
+        return np.sqrt(self.curve_sums(residuals**2) / self.counts)
+
+
+def sample_curves(
+    curves: Sequence[Curve], *, spacing: float, least: int = 6, most: int = 24
+) -> CurveSamples:
+    """Thin each curve to points about `spacing` pixels apart.
+
+    A sample is the mean of the points around it (`Curve.resampled`), so that the noise of
+    neighbouring edge points is averaged and not thrown away.
+
+    Args:
+        curves: At least one curve.
+        spacing: Wanted distance between samples, pixels.
+        least: Fewest samples a curve.
+        most: Most samples a curve.
+
+    Raises:
+        ValueError: If there is no curve.
+    """
+    if not curves:
+        raise ValueError("Expected at least one curve, got none.")
+    sampled = [
+        curve.resampled(curve.length / np.clip(round(curve.length / spacing), least, most)).points
+        for curve in curves
+    ]
+    counts = np.array([len(points) for points in sampled])
+    lengths = np.array([curve.length for curve in curves])
+    starts = np.concatenate([[0], np.cumsum(counts)[:-1]])
+    return CurveSamples(np.concatenate(sampled), starts, np.repeat(lengths / counts, counts))
