@@ -3,5 +3,7 @@
 from classical.lines.curve import Curve as Curve
 from classical.lines.joining import JoinConfig as JoinConfig
 from classical.lines.joining import join_curves as join_curves
+from classical.lines.vectorise import HeatmapCurvesConfig as HeatmapCurvesConfig
 from classical.lines.vectorise import ImageCurvesConfig as ImageCurvesConfig
+from classical.lines.vectorise import curves_from_heatmap as curves_from_heatmap
 from classical.lines.vectorise import curves_from_image as curves_from_image

@@ -27,6 +27,7 @@ class RejectionConfig:
         excess_bend: Bends up to this many times that of the strongest lens are let pass.
         slack: Bend in the wrong direction that is let pass, pixels, …
         slack_per_length: … plus this share of the chord.
+        frame: Width of the zone along the picture's frame, pixels.
         rim: Width of the zone around the border of the image circle, as a share of its radius.
     """
 
@@ -36,6 +37,7 @@ class RejectionConfig:
     slack: float = 1.0
     slack_per_length: float = 0.004
     rim: float = 0.02
+    frame: float = 4.0
 
 
 @dataclass(frozen=True)
@@ -102,6 +104,21 @@ def beside_surround(
     u, v = np.clip(cell[:, 0], 0, width - 1), np.clip(cell[:, 1], 0, height - 1)
     margin = config.rim * surround.radius + 1.5 / surround.scale
     near = (surround.inside[v, u] < margin).astype(float)
+    return np.asarray(np.add.reduceat(near, offsets[:-1]) > 0.5 * np.diff(offsets))
+
+
+def beside_frame(
+    points: Float[np.ndarray, "m 2"],
+    offsets: Int[np.ndarray, " p1"],
+    width: int,
+    height: int,
+    *,
+    config: RejectionConfig,
+) -> Bool[np.ndarray, " p"]:
+    """True for curves that run along the frame of the picture."""
+    u, v = points.T
+    edge = np.minimum(np.minimum(u, width - 1 - u), np.minimum(v, height - 1 - v))
+    near = (edge < config.frame).astype(float)
     return np.asarray(np.add.reduceat(near, offsets[:-1]) > 0.5 * np.diff(offsets))
 
 
