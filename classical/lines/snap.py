@@ -211,7 +211,7 @@ def _viterbi(table: np.ndarray, lengths: np.ndarray, drift_cost: float) -> np.nd
 def _refine(
     slope: np.ndarray, path: np.ndarray, config: SnapConfig
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Offset of the derivative's peak nearest to the path in pixels, its height, and if it is one."""
+    """Offset in pixels of the derivative's peak nearest to the path, its height, if it is one."""
     width = slope.shape[1]
     rows = np.arange(len(slope))
     magnitude = np.abs(slope)

@@ -93,11 +93,11 @@ class HeatmapCurvesConfig:
     ridges: RidgeConfig = field(default_factory=RidgeConfig)
     smooth: SmoothConfig = field(
         default_factory=lambda: SmoothConfig(
-            min_points=8, corner_reach=5, corner_angle=0.5, trim=1, max_rms=0.4
+            min_points=5, corner_reach=4, corner_angle=0.5, trim=1, max_rms=0.4
         )
     )
     continuation: ContinuationConfig = field(
-        default_factory=lambda: ContinuationConfig(max_gap=16.0, max_rms=0.4)
+        default_factory=lambda: ContinuationConfig(max_gap=16.0, max_gap_share=1.0, max_rms=0.4)
     )
     snapping: SnapConfig = field(default_factory=SnapConfig)
     snapped: SmoothConfig = field(
