@@ -1,0 +1,80 @@
+"""Resampling of pictures of any usual type through a map."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+from jaxtyping import Shaped
+
+from classical.warp.maps import WarpMaps
+
+_KERNELS = {
+    "nearest": cv2.INTER_NEAREST,
+    "linear": cv2.INTER_LINEAR,
+    "cubic": cv2.INTER_CUBIC,
+    "lanczos": cv2.INTER_LANCZOS4,
+}
+_MAX_CHANNELS = 4  # of cv2.remap with a constant border
+_DTYPES = ("uint8", "uint16", "float16", "float32", "float64")
+
+
+def remap(
+    image: Shaped[np.ndarray, "..."],
+    maps: WarpMaps,
+    *,
+    interpolation: str = "linear",
+    antialias: bool = True,
+) -> Shaped[np.ndarray, "..."]:
+    """Make the new picture of a map; pixels without a source become 0.
+
+    Args:
+        image: The source, shape (height, width) or (height, width, channels), of type uint8,
+            uint16, float16, float32 or float64.
+        maps: Where each new pixel lies in the source.
+        interpolation: "nearest", "linear", "cubic" or "lanczos".
+        antialias: Smooth the source where it shrinks. Not done with "nearest", which is for labels.
+
+    Returns:
+        The new picture with the dtype and channels of the source.
+
+    Raises:
+        ValueError: If the shape, the dtype or an option is none of these.
+    """
+    kernel = _check(image, maps, interpolation)
+    if image.dtype == np.float16:
+        wide = remap(
+            image.astype(np.float32), maps, interpolation=interpolation, antialias=antialias
+        )
+        return wide.astype(np.float16)
+    new_shape = maps.u.shape + image.shape[2:]
+    if 0 in new_shape:
+        return np.zeros(new_shape, image.dtype)
+    u, v = maps.u, maps.v
+    if antialias and interpolation != "nearest":
+        smoothing = maps.smoothing
+        image = smoothing.apply(image)
+        u, v = maps.lookup
+    channels = image.reshape(*image.shape[:2], -1)
+    if channels.shape[2] <= _MAX_CHANNELS:
+        return cv2.remap(image, u, v, kernel).reshape(new_shape)
+    groups = [
+        cv2.remap(np.ascontiguousarray(channels[..., first : first + 1]), u, v, kernel)
+        for first in range(channels.shape[2])
+    ]
+    return np.stack(groups, axis=-1)
+
+
+def _check(image: np.ndarray, maps: WarpMaps, interpolation: str) -> int:
+    """Refuse what cannot be resampled; returns OpenCV's number of the kernel."""
+    if interpolation not in _KERNELS:
+        raise ValueError(f"Expected interpolation in {sorted(_KERNELS)}, got {interpolation!r}.")
+    if image.ndim not in (2, 3):
+        raise ValueError(f"Expected an image of 2 or 3 dimensions, got shape {image.shape}.")
+    if image.dtype.name not in _DTYPES:
+        raise ValueError(f"Expected an image of type {', '.join(_DTYPES)}, got {image.dtype}.")
+    if image.shape[:2] != (maps.source_height, maps.source_width):
+        raise ValueError(
+            "Expected an image of the map's source size "
+            f"{maps.source_width}x{maps.source_height}, got {image.shape[1]}x{image.shape[0]}."
+        )
+    return _KERNELS[interpolation]
