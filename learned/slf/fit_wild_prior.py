@@ -32,7 +32,10 @@ def lens_clouds(lenses: list[dict]) -> tuple[Float[ndarray, "n 5"], Float[ndarra
     rows = [[x["width"], x["height"], x["fx"], x["fy"], x["cx"], x["cy"], *x["D"]] for x in lenses]
     table = np.array([row for row in rows if row[2] > 0], float)
     half = table[:, 0] / 2
-    k = np.concatenate([np.ones((len(table), 1)), table[:, 6:10]], 1) * (table[:, 2] / half)[:, None]
+    k = (
+        np.concatenate([np.ones((len(table), 1)), table[:, 6:10]], 1)
+        * (table[:, 2] / half)[:, None]
+    )
     rho = np.hypot(1.0, table[:, 1] / table[:, 0])
     field = first_angle(k, rho)
     shape, _ = shapes(k, rho)
@@ -81,9 +84,7 @@ def log_normal(
 def wild_statistics(lenses: list[dict], *, seed: int = 0) -> dict:
     """The moments that `wild` is made of."""
     shape, intrinsics = lens_clouds(lenses)
-    weights, means, covariances = gaussian_mixture(
-        shape, N_COMPONENTS, np.random.default_rng(seed)
-    )
+    weights, means, covariances = gaussian_mixture(shape, N_COMPONENTS, np.random.default_rng(seed))
     low, high = np.percentile(intrinsics, [15.87, 84.13], axis=0)
     wide_low, wide_high = np.percentile(intrinsics, [2.28, 97.72], axis=0)
     return {

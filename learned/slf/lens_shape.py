@@ -26,9 +26,7 @@ def slope(theta: Float[ndarray, "n m"], k: Float[ndarray, "n 5"]) -> Float[ndarr
     return np.einsum("nmi,ni->nm", theta[..., None] ** (_POWERS - 1), k * _POWERS)
 
 
-def coefficients(
-    shape: Float[ndarray, "n 5"], rho: Float[ndarray, " n"]
-) -> Float[ndarray, "n 5"]:
+def coefficients(shape: Float[ndarray, "n 5"], rho: Float[ndarray, " n"]) -> Float[ndarray, "n 5"]:
     """Coefficients k1..k5 of lenses given by their shape.
 
     Args:

@@ -150,7 +150,11 @@ class Frame:
     def nodes(self, count: int = 9) -> ndarray:
         """Values of ρ that stand for the range, for integrating it out."""
         low, high = self.rho
-        return np.array([low]) if low == high else low + (high - low) * (np.arange(count) + 0.5) / count
+        return (
+            np.array([low])
+            if low == high
+            else low + (high - low) * (np.arange(count) + 0.5) / count
+        )
 
 
 def _full(aspect: float) -> Frame:
@@ -265,7 +269,9 @@ class WildPrior:
         self, rng: np.random.Generator, n: int, frame: Frame, field: tuple[float, float] | None
     ) -> LensBatch:
         shape = self._fitted_shapes(rng, n) if field is None else self._standard(rng, n, field)
-        rho = rng.uniform(*frame.rho, n) if frame.rho[0] < frame.rho[1] else np.full(n, frame.rho[0])
+        rho = (
+            rng.uniform(*frame.rho, n) if frame.rho[0] < frame.rho[1] else np.full(n, frame.rho[0])
+        )
         k = coefficients(shape, rho)
         aspect = 1.0 + self._jitter(rng, n, *self._aspect_sigma())
         centre = [self._jitter(rng, n, *self._centre_sigma()) for _ in range(2)]
@@ -336,7 +342,7 @@ class WildPrior:
 def _accepted(candidates: Callable[[int], LensBatch], n: int) -> LensBatch:
     """Collect candidates until there are `n`."""
     batches, have = [], 0
-    while have < n:
+    while not batches or have < n:
         batches.append(candidates(_OVERSAMPLING * n + 8))
         have += len(batches[-1])
     return concatenated(batches)[:n]

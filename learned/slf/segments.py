@@ -91,9 +91,7 @@ def _merged(segments: ndarray, side: int, config: AnnotationCfg) -> ndarray:
     return np.array(out).reshape(-1, 4)
 
 
-def _continues(
-    segment: ndarray, others: ndarray, side: int, config: AnnotationCfg
-) -> ndarray:
+def _continues(segment: ndarray, others: ndarray, side: int, config: AnnotationCfg) -> ndarray:
     """Which of `others` lie on the line of `segment`, within the gap."""
     start, step = segment[:2], segment[2:] - segment[:2]
     length = np.hypot(*step)
@@ -135,7 +133,9 @@ def _is_supported(segments: ndarray, grey: ndarray, config: AnnotationCfg) -> nd
 
     def sample(offset: float) -> ndarray:
         at = (points + offset * across).astype(np.float32)
-        return cv2.remap(grey, at[..., 0], at[..., 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+        return cv2.remap(
+            grey, at[..., 0], at[..., 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
+        )
 
     contrast = sample(1.6) - sample(-1.6)
     middle = np.median(contrast, axis=1)

@@ -1,0 +1,137 @@
+"""Rays of pixels and pixels of rays for a batch of lenses, fast enough for training on the fly."""
+
+from dataclasses import dataclass
+
+import torch
+from jaxtyping import Bool, Float, Int
+from torch import Tensor
+
+from learned.polynomial import radius, theta_from_radius
+from learned.slf.lenses import LensBatch
+
+_TABLE_NODES = 1024
+_BEYOND = 0.02
+
+
+@dataclass(frozen=True)
+class Optics:
+    """Lenses in front of frames of `size` x `size` pixels, on a device.
+
+    Attributes:
+        vector: Camera vectors in half widths, as in `SlfBatch.k`.
+        theta_max: Largest incident angle in radians.
+        circle: Radius of the image circle, infinite where there is none.
+        half_height: Half height of the visible rectangle, in half widths.
+        size: Width and height of the frame in pixels.
+    """
+
+    vector: Float[Tensor, "b 9"]
+    theta_max: Float[Tensor, " b"]
+    circle: Float[Tensor, " b"]
+    half_height: Float[Tensor, " b"]
+    size: int
+
+    def __len__(self) -> int:
+        """Number of lenses."""
+        return self.vector.shape[0]
+
+    def __getitem__(self, rows: Tensor) -> "Optics":
+        """Some of the lenses."""
+        parts = (self.vector, self.theta_max, self.circle, self.half_height)
+        return Optics(*(part[rows] for part in parts), self.size)
+
+
+def optics(lenses: LensBatch, *, size: int, device: torch.device | str = "cpu") -> Optics:
+    """Move lenses to a device and give them a frame."""
+    names = ("vector", "theta_max", "circle", "half_height")
+    parts = (torch.from_numpy(getattr(lenses, name)).to(device, torch.float32) for name in names)
+    return Optics(*parts, size)
+
+
+def pixel_rays(
+    lens: Optics, *, oversampling: int = 1
+) -> tuple[Float[Tensor, "b 3 h w"], Bool[Tensor, "b h w"]]:
+    """Unit viewing directions of all pixels.
+
+    The inverse of r(θ) is solved exactly on a table of radii and read linearly in between, which is
+    good to 1e−6 rad and many times faster than a root per pixel.
+
+    Args:
+        lens: Lenses and frame size.
+        oversampling: Rays per pixel and axis.
+
+    Returns:
+        rays: Unit directions (x right, y down, z forward), (b, 3, h, w) with h = w = oversampling
+            times the frame's size.
+        valid: True where the lens images something inside the visible rectangle.
+    """
+    coordinate = _frame_coordinate(lens.size, oversampling, lens.vector)
+    centre_u, centre_v = lens.vector[:, 7, None], lens.vector[:, 8, None]
+    x = ((coordinate - centre_u) / lens.vector[:, 5, None])[:, None, :]
+    y = ((coordinate - centre_v) / lens.vector[:, 6, None])[:, :, None]
+    r = torch.sqrt(x * x + y * y)
+    top = r.amax(dim=(1, 2))
+    sine, cosine = _ray_tables(lens, top)
+    position = r * ((_TABLE_NODES - 1) / top)[:, None, None]
+    cell = position.floor().clamp_(0, _TABLE_NODES - 2)
+    share = position - cell
+    at = cell.long().flatten(1)
+    rays = torch.empty((len(lens), 3, *r.shape[1:]), dtype=r.dtype, device=r.device)
+    scale = _lerp(sine, at, share)
+    torch.mul(x, scale, out=rays[:, 0])
+    torch.mul(y, scale, out=rays[:, 1])
+    rays[:, 2] = _lerp(cosine, at, share)
+    edge = radius(lens.theta_max[:, None], lens.vector[:, :5])[:, 0]
+    valid = r <= torch.minimum(edge, lens.circle)[:, None, None]
+    valid &= (coordinate.abs() <= lens.half_height[:, None])[:, :, None]
+    return rays, valid
+
+
+def project(
+    lens: Optics, points: Float[Tensor, "n 3"], row: Int[Tensor, " n"]
+) -> tuple[Float[Tensor, "n 2"], Bool[Tensor, " n"]]:
+    """Image points in front of or beside the lenses.
+
+    Args:
+        lens: Lenses and frame size.
+        points: Points in camera coordinates, any length but zero.
+        row: Lens of each point.
+
+    Returns:
+        pixels: (u, v) per point.
+        valid: True where the point is seen: inside frame, visible rectangle and image circle.
+    """
+    vector = lens.vector[row]
+    across = torch.linalg.vector_norm(points[:, :2], dim=1)
+    theta = torch.atan2(across, points[:, 2])
+    theta_max = lens.theta_max[row]
+    # beyond the lens the polynomial may run anywhere, so it is held just outside
+    r = radius(torch.minimum(theta, theta_max + _BEYOND), vector[:, :5])
+    # on the axis the direction is undefined and the radius is zero
+    unit = points[:, :2] / across.clamp_min(1e-12)[:, None]
+    plane = r[:, None] * unit * vector[:, 5:7] + vector[:, 7:9]
+    valid = (theta <= theta_max) & (r <= lens.circle[row])
+    valid &= (plane[:, 0].abs() <= 1.0) & (plane[:, 1].abs() <= lens.half_height[row])
+    return plane * (lens.size / 2) + (lens.size - 1) / 2, valid
+
+
+def _frame_coordinate(size: int, oversampling: int, like: Tensor) -> Tensor:
+    """Coordinates of ray columns in half widths from the middle of the frame."""
+    count = size * oversampling
+    index = torch.arange(count, dtype=like.dtype, device=like.device)
+    return (index - (count - 1) / 2) / (count / 2)
+
+
+def _ray_tables(lens: Optics, top: Tensor) -> tuple[Tensor, Tensor]:
+    """sin θ / r and cos θ at equally spaced radii from 0 to `top`."""
+    share = torch.linspace(0.0, 1.0, _TABLE_NODES, dtype=top.dtype, device=top.device)
+    r = top[:, None] * share
+    theta, _ = theta_from_radius(r, lens.vector[:, :5], lens.theta_max)
+    sine = torch.sin(theta) / r.clamp_min(1e-9)
+    sine[:, 0] = 1.0 / lens.vector[:, 0]
+    return sine, torch.cos(theta)
+
+
+def _lerp(table: Tensor, at: Tensor, share: Tensor) -> Tensor:
+    low = table.gather(1, at).view_as(share)
+    return torch.lerp(low, table.gather(1, at + 1).view_as(share), share)

@@ -1,0 +1,225 @@
+"""What a real camera does to a clean picture: light, optics, sensor, compression, overlays.
+
+Everything is plain tensor arithmetic per sample, on any device; random numbers come from NumPy, so a
+picture is the same wherever it is made.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from torch import Tensor
+from torch.nn import functional
+
+from learned.polynomial import radius
+from learned.slf.optics import Optics
+from learned.slf.overlay import draw_overlays
+
+_BLUR_TAPS = 7
+_NOISE_BANK = 1 << 20
+_BLOCK = 8
+# ITU-T T.81, table K.1: quantisation of luminance
+_QUANTISATION = (
+    (16, 11, 10, 16, 24, 40, 51, 61),
+    (12, 12, 14, 19, 26, 58, 60, 55),
+    (14, 13, 16, 24, 40, 57, 69, 56),
+    (14, 17, 22, 29, 51, 87, 80, 62),
+    (18, 22, 37, 56, 68, 109, 103, 77),
+    (24, 35, 55, 64, 81, 104, 113, 92),
+    (49, 64, 78, 87, 103, 121, 120, 101),
+    (72, 92, 95, 98, 112, 100, 103, 99),
+)
+
+
+@dataclass(frozen=True)
+class PhotometryCfg:
+    """Shares of pictures that get each effect, and how strong it is at most.
+
+    Attributes:
+        exposure: Standard deviation of the exposure in stops.
+        gamma: Standard deviation of log gamma.
+        cast: Standard deviation of the log gain of each colour.
+        blur_share: Share of blurred pictures.
+        blur_px: Largest standard deviation of the blur in pixels.
+        vignette: Largest loss of light at the frame's corner.
+        noise: Range of the noise's standard deviation at mid grey.
+        jpeg_share: Share of compressed pictures.
+        jpeg_quality: Range of the quality.
+        halo_share: Share of image circles with a soft edge and a glowing ring.
+        surround_share: Share of pictures whose outside is not black.
+        overlay_share: Share of pictures with text burnt in.
+    """
+
+    exposure: float = 0.35
+    gamma: float = 0.15
+    cast: float = 0.05
+    blur_share: float = 0.4
+    blur_px: float = 1.2
+    vignette: float = 0.5
+    noise: tuple[float, float] = (0.002, 0.04)
+    jpeg_share: float = 0.4
+    jpeg_quality: tuple[float, float] = (25.0, 95.0)
+    halo_share: float = 0.7
+    surround_share: float = 0.2
+    overlay_share: float = 0.12
+
+
+def photographed(
+    clean: Float[Tensor, "b 3 h w"],
+    lens: Optics,
+    *,
+    rng: np.random.Generator,
+    config: PhotometryCfg | None = None,
+) -> Float[Tensor, "b 3 h w"]:
+    """Turn clean pictures into photographs.
+
+    Args:
+        clean: Pictures in [0, 1], black outside the image.
+        lens: Their lenses.
+        rng: Source of randomness.
+        config: Strengths.
+
+    Returns:
+        Pictures in [0, 1] rounded to 8 bits.
+    """
+    config = config or PhotometryCfg()
+    image = _blurred(clean, rng, config)
+    image = _exposed(image, lens, rng, config)
+    image = _edged(image, lens, rng, config)
+    image = draw_overlays(image, rng, share=config.overlay_share)
+    image = _noisy(image, rng, config)
+    image = _compressed(image.clamp_(0, 1), rng, config)
+    return image.mul_(255).round_().clamp_(0, 255).div_(255)
+
+
+def _tensor(value: np.ndarray, like: Tensor) -> Tensor:
+    return torch.as_tensor(value, dtype=like.dtype, device=like.device)
+
+
+def _blurred(image: Tensor, rng: np.random.Generator, config: PhotometryCfg) -> Tensor:
+    batch = len(image)
+    chosen = np.nonzero(rng.random(batch) < config.blur_share)[0]
+    sigma = rng.uniform(0.3, config.blur_px, (batch, 1))
+    # as often as not a blur of one axis, like motion along a row or column
+    motion = rng.random((2, batch, 1)) < 0.2
+    if len(chosen) == 0:
+        return image.clone()
+    tap = np.arange(_BLUR_TAPS) - _BLUR_TAPS // 2
+    kernels = [np.exp(-0.5 * (tap / np.where(m, 0.15, sigma)) ** 2) for m in motion]
+    vertical, horizontal = (
+        _tensor(k[chosen] / k[chosen].sum(1, keepdims=True), image).repeat_interleave(3, 0)
+        for k in kernels
+    )
+    rows = torch.as_tensor(chosen, device=image.device)
+    part = image[rows]
+    flat = part.reshape(1, -1, *part.shape[2:])
+    pad = _BLUR_TAPS // 2
+    groups = flat.shape[1]
+    flat = functional.conv2d(flat, vertical[:, None, :, None], padding=(pad, 0), groups=groups)
+    flat = functional.conv2d(flat, horizontal[:, None, None, :], padding=(0, pad), groups=groups)
+    out = image.clone()
+    out[rows] = flat.view_as(part)
+    return out
+
+
+def _exposed(
+    image: Tensor, lens: Optics, rng: np.random.Generator, config: PhotometryCfg
+) -> Tensor:
+    """Vignetting, exposure, colour cast and gamma."""
+    batch = len(image)
+    loss = rng.uniform(0, config.vignette, batch) * (rng.random(batch) < 0.6)
+    stops = rng.normal(0, config.exposure, (batch, 1)) * np.log(2)
+    gain = _tensor(np.exp(stops + rng.normal(0, config.cast, (batch, 3))), image)
+    gamma = _tensor(np.exp(rng.normal(0, config.gamma, batch)), image)
+    square = _plane_radius(lens, image) ** 2
+    fall = 1.0 - _tensor(loss, image)[:, None, None] * (square / 2).clamp_max(1.0)
+    out = image * fall[:, None]
+    out *= gain[:, :, None, None]
+    return out.clamp_(0, 1).pow_(gamma[:, None, None, None])
+
+
+def _edged(image: Tensor, lens: Optics, rng: np.random.Generator, config: PhotometryCfg) -> Tensor:
+    """Soft edge and ring of image circles, and what lies outside every image."""
+    batch = len(image)
+    soft = rng.uniform(0.004, 0.06, batch)
+    ring = rng.uniform(0.0, 0.35, (batch, 3)) * rng.uniform(0, 1, (batch, 1))
+    ring *= rng.random((batch, 1)) < config.halo_share
+    ring_width = rng.uniform(0.004, 0.03, batch)
+    surround = np.where(
+        rng.random(batch) < 0.75, rng.uniform(0, 0.12, batch), rng.uniform(0, 1, batch)
+    )
+    surround = surround * (rng.random(batch) < config.surround_share)
+    r = _plane_radius(lens, image)
+    edge = torch.minimum(radius(lens.theta_max[:, None], lens.vector[:, :5])[:, 0], lens.circle)
+    inwards = edge[:, None, None] - r
+    circles = _tensor(np.isfinite(lens.circle.cpu().numpy()).astype(float), image)[:, None, None]
+    fade = (inwards / _tensor(soft, image)[:, None, None]).clamp(0, 1)
+    image = image * torch.lerp(torch.ones_like(fade), fade, circles)[:, None]
+    glow = torch.exp(-((inwards / _tensor(ring_width, image)[:, None, None]) ** 2)) * circles
+    outside = (inwards < 0) | (_plane_rows(lens, image) > lens.half_height[:, None, None])
+    glow = glow * (_plane_rows(lens, image) <= lens.half_height[:, None, None])
+    image += glow[:, None] * _tensor(ring, image)[:, :, None, None]
+    return image + (outside * _tensor(surround, image)[:, None, None])[:, None]
+
+
+def _noisy(image: Tensor, rng: np.random.Generator, config: PhotometryCfg) -> Tensor:
+    """Signal-dependent sensor noise, read from a bank that is drawn once a batch."""
+    batch, count = len(image), image[0].numel()
+    low, high = np.log(config.noise)
+    sigma = _tensor(np.exp(rng.uniform(low, high, batch)), image).view(-1, 1, 1, 1)
+    bank = _tensor(rng.standard_normal(_NOISE_BANK, dtype=np.float32), image)
+    bank = torch.cat([bank, bank[:count]])
+    starts = rng.integers(0, _NOISE_BANK, batch)
+    noise = torch.stack([bank[s : s + count] for s in starts]).view_as(image)
+    return image + noise * sigma * (0.3 + 1.4 * image).clamp_min(0).sqrt()
+
+
+def _compressed(image: Tensor, rng: np.random.Generator, config: PhotometryCfg) -> Tensor:
+    """Quantise 8x8 cosine blocks as JPEG does, on red, green and blue alike."""
+    batch = len(image)
+    chosen = np.nonzero(rng.random(batch) < config.jpeg_share)[0]
+    quality = rng.uniform(*config.jpeg_quality, batch)
+    height, width = image.shape[2] // _BLOCK * _BLOCK, image.shape[3] // _BLOCK * _BLOCK
+    if len(chosen) == 0 or height == 0 or width == 0:
+        return image
+    scale = np.where(quality < 50, 50 / quality, 2 - quality / 50)[chosen]
+    table = np.maximum(np.array(_QUANTISATION) * scale[:, None, None], 1.0) / 255.0
+    step = _tensor(table, image).view(-1, 1, 1, _BLOCK, 1, _BLOCK)
+    basis = _tensor(_cosine_basis(), image)
+    rows = torch.as_tensor(chosen, device=image.device)
+    part = image[rows][:, :, :height, :width]
+    blocks = part.reshape(len(rows), 3, height // _BLOCK, _BLOCK, width // _BLOCK, _BLOCK)
+    blocks = torch.einsum("ik,bcykxl,jl->bcyixj", basis, blocks, basis)
+    blocks = (blocks / step).round_() * step
+    blocks = torch.einsum("ik,bcyixj,jl->bcykxl", basis, blocks, basis)
+    image[rows, :, :height, :width] = blocks.reshape(part.shape)
+    return image
+
+
+def _cosine_basis() -> np.ndarray:
+    """Orthonormal type-II cosine transform of eight samples."""
+    i = np.arange(_BLOCK)
+    basis = np.cos(np.pi * i[:, None] * (2 * i[None] + 1) / (2 * _BLOCK)) * np.sqrt(2 / _BLOCK)
+    basis[0] /= np.sqrt(2)
+    return basis
+
+
+def _plane_radius(lens: Optics, like: Tensor) -> Tensor:
+    """Radius of every pixel in the isotropic plane of r(θ)."""
+    index = _coordinate(like)
+    view = (-1, 1, 1)
+    x = (index[None, None, :] - lens.vector[:, 7].view(view)) / lens.vector[:, 5].view(view)
+    y = (index[None, :, None] - lens.vector[:, 8].view(view)) / lens.vector[:, 6].view(view)
+    return torch.sqrt(x * x + y * y)
+
+
+def _plane_rows(lens: Optics, like: Tensor) -> Tensor:
+    """Distance of every row from the middle of the frame, in half widths."""
+    return _coordinate(like).abs()[None, :, None].expand(len(lens), -1, 1)
+
+
+def _coordinate(like: Tensor) -> Tensor:
+    size = like.shape[-1]
+    index = torch.arange(size, dtype=like.dtype, device=like.device)
+    return (index - (size - 1) / 2) / (size / 2)

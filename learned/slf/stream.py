@@ -1,0 +1,186 @@
+"""Training samples on the fly: lenses, scenes and lines in, `SlfBatch` out, torch alone.
+
+Batch i depends on the seed and on i only, so that a stopped training goes on with the same samples.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from learned.slf.atlas import Atlas
+from learned.slf.batch import SlfBatch
+from learned.slf.boxes import box_segments, box_visibility, render_boxes
+from learned.slf.layouts import LayoutCfg, PoseCfg, draw_boxes, draw_rotations
+from learned.slf.lenses import LensBatch, concatenated
+from learned.slf.optics import Optics, optics, pixel_rays
+from learned.slf.panoramas import Views, render_views, view_segments
+from learned.slf.photometry import PhotometryCfg, photographed
+from learned.slf.planes import draw_planes, plane_segments, render_planes
+from learned.slf.priors import lens_prior
+from learned.slf.rectify import rectified
+from learned.slf.strokes import Strokes, bent_strokes, draw_line_map
+
+PHOTOGRAPH, PATTERN, PANORAMA = 0, 1, 2
+_PLANES, _BOXES, _VIEWS = 0, 1, 2
+
+
+@dataclass(frozen=True)
+class StreamCfg:
+    """Mixture of training samples.
+
+    Attributes:
+        scenes: Weights of photograph planes (D-Wireframe), boxes of photographs, panorama cuts; a
+            scene without pictures in the atlas is left out.
+        wild_share: Weight of the `wild` prior in boxes and panoramas, the rest is `paper`. Planes
+            always take `paper`: a flat photograph cannot fill a wider lens.
+        shortest_px: Bent lines shorter than this are not drawn.
+        photometry: What a real camera does to the picture, or None for clean pictures.
+        layout: Sizes of the box scenes.
+        pose: Camera poses of panoramas.
+        oversampling: Rays per pixel and axis.
+        with_rectified: Whether to make the rectified ground truth; zeros otherwise.
+    """
+
+    scenes: tuple[float, float, float] = (0.4, 0.4, 0.2)
+    wild_share: float = 0.8
+    shortest_px: float = 12.0
+    photometry: PhotometryCfg | None = field(default_factory=PhotometryCfg)
+    layout: LayoutCfg = field(default_factory=LayoutCfg)
+    pose: PoseCfg = field(default_factory=PoseCfg)
+    oversampling: int = 1
+    with_rectified: bool = True
+
+
+@dataclass(frozen=True)
+class SlfStream:
+    """An endless, repeatable sequence of batches.
+
+    Attributes:
+        atlas: Pictures, on the device where samples are to be made.
+        seed: Seed of the whole sequence.
+        batch_size: Samples a batch.
+        size: Width and height in pixels.
+        config: Mixture.
+    """
+
+    atlas: Atlas
+    seed: int
+    batch_size: int
+    size: int = 320
+    config: StreamCfg = field(default_factory=StreamCfg)
+
+    def __iter__(self) -> Iterator[SlfBatch]:
+        """All batches from the first."""
+        return self.starting_at(0)
+
+    def starting_at(self, index: int) -> Iterator[SlfBatch]:
+        """All batches from batch `index`."""
+        while True:
+            yield self.batch(index)
+            index += 1
+
+    @torch.no_grad()
+    def batch(self, index: int) -> SlfBatch:
+        """Batch `index` of the sequence."""
+        return self.batch_and_strokes(index)[0]
+
+    @torch.no_grad()
+    def batch_and_strokes(self, index: int) -> tuple[SlfBatch, Strokes]:
+        """Batch `index` with the bent lines as points."""
+        rng = np.random.default_rng([self.seed, index])
+        scene, lens = self._lenses(rng)
+        rays, valid = pixel_rays(lens, oversampling=self.config.oversampling)
+        clean = torch.empty_like(rays)
+        strokes = []
+        for kind, make in ((_PLANES, self._planes), (_BOXES, self._boxes), (_VIEWS, self._views)):
+            rows = torch.nonzero(torch.from_numpy(scene == kind))[:, 0].to(rays.device)
+            if len(rows):
+                clean[rows], runs = make(rng, lens[rows], rays[rows])
+                strokes.append((runs, rows))
+        clean = _averaged(clean * (valid[:, None] / 255.0), self.config.oversampling)
+        lines = joined_strokes(strokes)
+        image = clean
+        if self.config.photometry is not None:
+            image = photographed(clean, lens, rng=rng, config=self.config.photometry)
+        flat = rectified(clean, lens) if self.config.with_rectified else torch.zeros_like(clean)
+        line_map = draw_line_map(lines, batch=self.batch_size, size=self.size)
+        return SlfBatch(image, line_map, lens.vector, flat, lens.theta_max), lines
+
+    def _lenses(self, rng: np.random.Generator) -> tuple[np.ndarray, Optics]:
+        """The scene of each sample and its lens."""
+        there = [len(self.atlas.of_kind(kind)) > 0 for kind in (PHOTOGRAPH, PHOTOGRAPH, PANORAMA)]
+        weights = np.array(self.config.scenes) * there
+        scene = np.sort(rng.choice(3, self.batch_size, p=weights / weights.sum()))
+        wild = (scene != _PLANES) & (rng.random(self.batch_size) < self.config.wild_share)
+        n_wild = int(wild.sum())
+        drawn = [lens_prior("paper").sample(rng, self.batch_size - n_wild)]
+        if n_wild:
+            drawn.append(lens_prior("wild").sample(rng, n_wild))
+        place = np.argsort(np.concatenate([np.nonzero(~wild)[0], np.nonzero(wild)[0]]))
+        lenses: LensBatch = concatenated(drawn)[place]
+        return scene, optics(lenses, size=self.size, device=self.atlas.texels.device)
+
+    def _planes(
+        self, rng: np.random.Generator, lens: Optics, rays: Tensor
+    ) -> tuple[Tensor, Strokes]:
+        photographs = self.atlas.of_kind(PHOTOGRAPH)
+        planes = draw_planes(rng, self.atlas, photographs, len(lens), upright=False)
+        lines = bent_strokes(
+            lens, plane_segments(self.atlas, planes), shortest_px=self.config.shortest_px
+        )
+        return render_planes(self.atlas, planes, lens, rays), lines
+
+    def _boxes(
+        self, rng: np.random.Generator, lens: Optics, rays: Tensor
+    ) -> tuple[Tensor, Strokes]:
+        photographs, patterns = self.atlas.of_kind(PHOTOGRAPH), self.atlas.of_kind(PATTERN)
+        boxes = draw_boxes(rng, self.atlas, photographs, patterns, len(lens), self.config.layout)
+        lines = bent_strokes(
+            lens,
+            box_segments(self.atlas, boxes),
+            visibility=lambda points, row: box_visibility(boxes, points, row),
+            shortest_px=self.config.shortest_px,
+        )
+        return render_boxes(self.atlas, boxes, lens, rays), lines
+
+    def _views(
+        self, rng: np.random.Generator, lens: Optics, rays: Tensor
+    ) -> tuple[Tensor, Strokes]:
+        panoramas = self.atlas.of_kind(PANORAMA)
+        chosen = torch.from_numpy(rng.integers(0, len(panoramas), len(lens))).to(rays.device)
+        rotation = draw_rotations(rng, len(lens), self.config.pose)
+        views = Views(
+            panoramas[chosen], torch.as_tensor(rotation, dtype=rays.dtype, device=rays.device)
+        )
+        lines = bent_strokes(
+            lens, view_segments(self.atlas, views), shortest_px=self.config.shortest_px
+        )
+        return render_views(self.atlas, views, rays), lines
+
+
+def joined_strokes(parts: list[tuple[Strokes, Tensor]]) -> Strokes:
+    """Strokes of several groups as one, with each group's rows in the whole batch."""
+    runs, n_runs, n_segments = [], 0, 0
+    segments = []
+    for strokes, _ in parts:
+        runs.append(strokes.run + n_runs)
+        segments.append(strokes.segment + n_segments)
+        n_runs += len(strokes.length)
+        n_segments += int(strokes.segment.max()) + 1 if len(strokes.segment) else 0
+    return Strokes(
+        points=torch.cat([s.points for s, _ in parts]),
+        tangent=torch.cat([s.tangent for s, _ in parts]),
+        run=torch.cat(runs),
+        length=torch.cat([s.length for s, _ in parts]),
+        row=torch.cat([rows[s.row] for s, rows in parts]),
+        segment=torch.cat(segments),
+    )
+
+
+def _averaged(image: Tensor, oversampling: int) -> Tensor:
+    if oversampling == 1:
+        return image
+    return torch.nn.functional.avg_pool2d(image, oversampling)
