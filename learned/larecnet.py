@@ -1,0 +1,126 @@
+"""LaRecNet: line perception, multiscale calibration, rectification, uncertainty.
+
+Xue et al., "Fisheye Distortion Rectification from Deep Straight Lines".
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Self
+
+import torch
+from jaxtyping import Float
+from torch import Tensor, nn
+from torch.nn import functional
+
+from learned.calibration import Calibration, CalibrationCfg, CalibrationOutput
+from learned.dlp import DlpCfg, LinePerception
+from learned.parameters import Parameters
+from learned.rectification import rectify_images
+from learned.uncertainty import AttentiveUncertainty
+
+
+@dataclass(frozen=True)
+class LarecnetCfg:
+    """The whole network.
+
+    Attributes:
+        dlp: Line perception.
+        calibration: Multiscale calibration.
+        uncertainty_width: Channels C of each stage in the uncertainty module.
+        pixel_stride: The rectified picture of L_pix is this much smaller than the input (1: paper).
+    """
+
+    dlp: DlpCfg = field(default_factory=DlpCfg)
+    calibration: CalibrationCfg = field(default_factory=CalibrationCfg)
+    uncertainty_width: int = 32
+    pixel_stride: int = 1
+
+
+@dataclass(frozen=True)
+class LarecnetOutput:
+    """What LaRecNet gives; lenses in half widths.
+
+    Attributes:
+        k: Fused parameters k̂.
+        estimate: All parameters in the coordinates of `Parameters`, and the backbone's features.
+        heatmap: L̂_f, or None where nothing asked for it.
+        lineness: How sure of a line, or None likewise.
+    """
+
+    k: Float[Tensor, "b 9"]
+    estimate: CalibrationOutput
+    heatmap: Float[Tensor, "b 1 h w"] | None
+    lineness: Float[Tensor, "b 1 h w"] | None
+
+
+class LaRecNet(nn.Module):
+    """Fisheye picture to lens; the rectified picture follows by `rectify`.
+
+    Line perception is trained before and stays fixed here: no gradients, and its batch norms keep
+    their statistics in training mode too.
+    """
+
+    def __init__(self, cfg: LarecnetCfg) -> None:
+        super().__init__()
+        self.cfg = cfg
+        self.dlp = LinePerception(cfg.dlp).requires_grad_(False)
+        self.parameters_of_lens = Parameters()
+        self.calibration = Calibration(
+            cfg.calibration, self.parameters_of_lens, feature_channels=cfg.dlp.width
+        )
+        channels = _stage_channels(cfg.calibration)
+        self.uncertainty = AttentiveUncertainty(channels, width=cfg.uncertainty_width)
+        self.dlp.eval()
+
+    def train(self, mode: bool = True) -> Self:
+        """Training mode for all but line perception."""
+        super().train(mode)
+        self.dlp.eval()
+        return self
+
+    def forward(self, image: Float[Tensor, "b 3 h w"]) -> LarecnetOutput:
+        """Estimate the lens of each picture.
+
+        Args:
+            image: RGB in [0, 1], height and width divide by `cfg.dlp.multiple`.
+
+        Returns:
+            Lens, parameters of all branches, heatmap.
+        """
+        heatmap = lineness = features = None
+        if set(self.cfg.calibration.inputs) & {"heatmap", "features"}:
+            with torch.no_grad():
+                seen = self.dlp(image)
+                heatmap = self.dlp.heatmap(seen.raw)
+                lineness = self.dlp.lineness(seen.raw)
+                features = seen.features
+        estimate = self.calibration(image, heatmap, features)
+        return LarecnetOutput(
+            self.parameters_of_lens.decode(estimate.fused), estimate, heatmap, lineness
+        )
+
+    def rectify(
+        self, image: Float[Tensor, "b 3 h w"], out: LarecnetOutput
+    ) -> tuple[Float[Tensor, "b 3 hs ws"], Float[Tensor, "b 1 hs ws"]]:
+        """I_r by the rectification layer and its uncertainty map U_A.
+
+        Args:
+            image: RGB in [0, 1].
+            out: What `forward` gave for it.
+
+        Returns:
+            rectified: I_r at the input's size over `cfg.pixel_stride`.
+            uncertainty: U_A of the same size.
+        """
+        small = image
+        if self.cfg.pixel_stride > 1:
+            small = functional.avg_pool2d(image, self.cfg.pixel_stride)
+        rectified = rectify_images(small, out.k)
+        seen = self.uncertainty(out.estimate.stages, small, rectified.detach())
+        return rectified, seen
+
+
+def _stage_channels(cfg: CalibrationCfg) -> tuple[int, ...]:
+    """Channels of the features L1 to L4 of this backbone."""
+    return tuple(cfg.widths[-4:])
