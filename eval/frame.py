@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from jaxtyping import Float, Float32, UInt8
+from jaxtyping import Bool, Float, Float32, UInt8
 from numpy import ndarray
 
 from eval.metrics import FRAME_FOCAL, FRAME_WIDTH, Lens, align, rectified
@@ -26,6 +26,32 @@ class Similarity:
         moved = points if self.shift is None else points - self.shift
         turned = moved if self.rotation is None else moved @ self.rotation
         return turned / (self.scale if self.scale > 0.0 else 1e-12)
+
+
+@dataclass(frozen=True)
+class Resampled:
+    """A lens seen through a resampled photograph, whose outer edges stay in place.
+
+    Attributes:
+        lens: The lens of the photograph.
+        scale: New size over old size along u and v, shape (2,).
+    """
+
+    lens: Lens
+    scale: Float[ndarray, " 2"]
+
+    def project(
+        self, rays: Float[ndarray, "n 3"]
+    ) -> tuple[Float[ndarray, "n 2"], Bool[ndarray, " n"]]:
+        """Map rays to pixels of the resampled photograph."""
+        points, valid = self.lens.project(rays)
+        return (points + 0.5) * self.scale - 0.5, valid
+
+    def unproject(
+        self, points: Float[ndarray, "n 2"]
+    ) -> tuple[Float[ndarray, "n 3"], Bool[ndarray, " n"]]:
+        """Map pixels of the resampled photograph to rays."""
+        return self.lens.unproject((points + 0.5) / self.scale - 0.5)
 
 
 def frame_size(width: int, height: int) -> tuple[int, int]:

@@ -1,0 +1,55 @@
+"""The methods of the comparison: names, colours, and what each of them claims to know."""
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class Method:
+    """One row of every table.
+
+    Attributes:
+        tag: Name on the command line and of folders.
+        full_name: Name in tables and plots.
+        color: Colour in all plots (Okabe–Ito, told apart by colour-blind readers).
+        knows_focal: False where the model has no focal length, only a stated convention: its
+            focal error says nothing and is not shown.
+    """
+
+    tag: str
+    full_name: str
+    color: str
+    knows_focal: bool = True
+
+
+IDENTITY = Method("identity", "Left alone", "#7f7f7f", knows_focal=False)
+
+METHODS = (
+    IDENTITY,
+    Method("bukhari", "Bukhari & Dailey 2013", "#e69f00", knows_focal=False),
+    Method("aleman-flores", "Alemán-Flores et al. 2014", "#56b4e9", knows_focal=False),
+    Method("rong", "Rong et al. 2016", "#009e73", knows_focal=False),
+    Method("learned", "LaRecNet (network alone)", "#cc79a7"),
+    Method("classical", "Straightness fit (no network)", "#0072b2"),
+    Method("hybrid", "Straightlens (network + fit)", "#d55e00"),
+)
+"""In the order of the tables."""
+
+_BY_TAG = {method.tag: method for method in METHODS}
+
+
+def method_of(tag: str) -> Method:
+    """The method of a tag; an unknown one (an ablation's, say) stands for itself, in black."""
+    return _BY_TAG.get(tag, Method(tag, tag, "#444444"))
+
+
+def parse_methods(tags: str) -> tuple[Method, ...]:
+    """The methods of a comma-separated list, in the order of the tables.
+
+    Raises:
+        ValueError: If a tag is unknown or the list is empty.
+    """
+    wanted = [tag.strip() for tag in tags.split(",") if tag.strip()]
+    unknown = sorted(set(wanted) - set(_BY_TAG))
+    if unknown or not wanted:
+        raise ValueError(f"expected methods among {', '.join(_BY_TAG)}, got {tags!r}")
+    return tuple(method for method in METHODS if method.tag in wanted)
