@@ -7,10 +7,10 @@ PYTEST_ARGS ?= -n auto --maxprocesses 4
 BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt
 
-.PHONY: demo test test-slow lint hooks example clean
+.PHONY: demo test test-slow lint hooks clean
 
 demo: $(VENV)/.installed-demo
-	$(BIN)/straightlens demo --out out/demo
+	$(BIN)/python examples/demo.py --out out/demo
 
 test: $(VENV)/.installed-dev
 	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -m "not slow and not gpu" $(PYTEST_ARGS)
@@ -26,9 +26,6 @@ lint: $(VENV)/.installed-dev
 
 hooks: $(VENV)/.installed-dev
 	$(BIN)/pre-commit install
-
-example: $(VENV)/.installed-demo
-	$(BIN)/python examples/make_room.py
 
 clean:
 	rm -rf $(VENV) out .pytest_cache .ruff_cache

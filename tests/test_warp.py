@@ -281,6 +281,14 @@ def test_antialias_leaves_enlarged_parts_alone():
     assert not changed[maps.scale < 0.8].any()
 
 
+@pytest.mark.parametrize("interpolation", ["nearest", "linear", "cubic", "lanczos"])
+def test_a_plain_picture_stays_plain_up_to_its_rim(interpolation):
+    camera = equidistant(120)
+    maps = undistort_maps(camera, pinhole_target(camera, balance=1.0))
+    out = remap(np.full((HEIGHT, WIDTH), 0.5), maps, interpolation=interpolation)
+    np.testing.assert_allclose(out, np.where(maps.valid, 0.5, 0), atol=1e-3)
+
+
 def test_nearest_keeps_labels():
     camera = equidistant(120)
     maps = undistort_maps(camera, pinhole_target(camera, balance=1.0))

@@ -56,12 +56,21 @@ def remap(
         u, v = maps.lookup
     channels = image.reshape(*image.shape[:2], -1)
     if channels.shape[2] <= _MAX_CHANNELS:
-        return cv2.remap(image, u, v, kernel).reshape(new_shape)
-    groups = [
-        cv2.remap(np.ascontiguousarray(channels[..., first : first + 1]), u, v, kernel)
-        for first in range(channels.shape[2])
-    ]
-    return np.stack(groups, axis=-1)
+        return _sampled(image, u, v, kernel, maps).reshape(new_shape)
+    planes = np.moveaxis(channels, 2, 0)
+    sampled = [_sampled(np.ascontiguousarray(p), u, v, kernel, maps) for p in planes]
+    return np.stack(sampled, axis=-1)
+
+
+def _sampled(
+    image: np.ndarray, u: np.ndarray, v: np.ndarray, kernel: int, maps: WarpMaps
+) -> np.ndarray:
+    """Look the pixels up; kernels wider than two pixels must not mix in the black outside."""
+    if kernel in (cv2.INTER_NEAREST, cv2.INTER_LINEAR):
+        return cv2.remap(image, u, v, kernel)
+    sampled = cv2.remap(image, u, v, kernel, borderMode=cv2.BORDER_REPLICATE)
+    sampled[~maps.valid] = 0
+    return sampled
 
 
 def _check(image: np.ndarray, maps: WarpMaps, interpolation: str) -> int:

@@ -1,0 +1,72 @@
+"""The table of methods: every way to find a lens, the best first.
+
+A method is an estimator: it takes pictures of one lens (RGB of 8 bits, one size) and gives a
+`Calibration`. Each is named by where its factory is, which is imported when it is first asked for,
+so that a method with heavy dependencies costs nothing until then.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from importlib import import_module
+from typing import TYPE_CHECKING, Protocol
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from hybrid.config import RectifyConfig
+    from hybrid.result import Calibration
+
+
+class Estimator(Protocol):
+    """Finds the lens of pictures; keeps what it has loaded between calls."""
+
+    def __call__(self, pictures: Sequence[np.ndarray]) -> Calibration:
+        """The lens of pictures of one size, each (h, w, 3) uint8 RGB."""
+        ...
+
+
+@dataclass(frozen=True)
+class Method:
+    """A row of the table.
+
+    Attributes:
+        name: What the user writes.
+        title: What it does, in a few words.
+        factory: "module:name" of a function from a RectifyConfig to an Estimator.
+    """
+
+    name: str
+    title: str
+    factory: str
+
+
+METHODS = (
+    Method(
+        "classical",
+        "edges of the picture made straight by a least-squares fit",
+        "hybrid.estimators:ClassicalEstimator",
+    ),
+    Method("identity", "nothing: the picture as it is", "hybrid.estimators:IdentityEstimator"),
+)
+DEFAULT_METHOD = METHODS[0].name
+
+
+def method_names() -> tuple[str, ...]:
+    """The names of all methods, the best first."""
+    return tuple(method.name for method in METHODS)
+
+
+def check_method(name: str) -> None:
+    """Raise ValueError unless there is such a method."""
+    if name not in method_names():
+        raise ValueError(f"Expected a method in {', '.join(method_names())}, got {name!r}.")
+
+
+def make_estimator(config: RectifyConfig) -> Estimator:
+    """The estimator of `config.method`."""
+    check_method(config.method)
+    row = next(method for method in METHODS if method.name == config.method)
+    module, name = row.factory.split(":")
+    return getattr(import_module(module), name)(config)
