@@ -16,6 +16,7 @@ LEVELS = 4
 """Mip levels stored per picture: full size, then halves."""
 
 _FORMAT = "slf-atlas-1"
+_RED_BLUE = 0x00FF00FF
 
 
 @dataclass(frozen=True)
@@ -46,6 +47,13 @@ class Atlas:
         """The same atlas on another device."""
         return Atlas(**{name: value.to(device) for name, value in vars(self).items()})
 
+    def image(self, picture: int) -> Float[Tensor, "3 h w"]:
+        """One picture at full size, RGB in [0, 255]."""
+        width, height = self.extent[picture, 0].tolist()
+        start = int(self.base[picture, 0])
+        texels = self.texels[start : start + width * height].view(torch.uint8)
+        return texels.view(height, width, 4).float().permute(2, 0, 1)[:3]
+
     def of_kind(self, kind: int) -> Int[Tensor, " n"]:
         """Numbers of the pictures of one kind."""
         return torch.nonzero(self.kind == kind)[:, 0]
@@ -74,38 +82,64 @@ def sample(
     Returns:
         RGB in [0, 255], shape (3, ...).
     """
-    slot = picture * LEVELS + level.clamp(0, LEVELS - 1)
-    base = atlas.base.view(-1)[slot]
-    size = atlas.extent.view(-1, 2)[slot]
-    width, height = size[..., 0], size[..., 1]
-    full = atlas.extent[:, 0, :].to(u.dtype)[picture]
-    x = (u + 0.5) * (width / full[..., 0]) - 0.5
-    y = (v + 0.5) * (height / full[..., 1]) - 0.5
+    shape = u.shape
+    picture, u, v = picture.reshape(-1), u.reshape(-1), v.reshape(-1)
+    slot = picture * LEVELS + level.reshape(-1).clamp(0, LEVELS - 1)
+    # index_select is several times faster than indexing on a CPU
+    base = atlas.base.view(-1).index_select(0, slot).int()
+    width, height, ratio_u, ratio_v = (x.view(-1).index_select(0, slot) for x in _tables(atlas))
+    x, y = (u + 0.5).mul_(ratio_u).sub_(0.5), (v + 0.5).mul_(ratio_v).sub_(0.5)
     x0, y0 = torch.floor(x), torch.floor(y)
-    share_x, share_y = x - x0, y - y0
-    column, row = x0.long(), y0.long()
-    if wrap_u:
-        left, right = column.remainder(width), (column + 1).remainder(width)
-    else:
-        last = width - 1
-        left = torch.minimum(column.clamp_min(0), last)
-        right = torch.minimum((column + 1).clamp_min(0), last)
-    last = height - 1
-    top = base + torch.minimum(row.clamp_min(0), last) * width
-    bottom = base + torch.minimum((row + 1).clamp_min(0), last) * width
-    corners = [atlas.texels[at] for at in (top + left, top + right, bottom + left, bottom + right)]
-    weights = [
-        (1 - share_x) * (1 - share_y),
-        share_x * (1 - share_y),
-        (1 - share_x) * share_y,
-        share_x * share_y,
-    ]
-    out = torch.empty((3, *u.shape), dtype=u.dtype, device=u.device)
-    for channel in range(3):
-        shift = 8 * channel
-        parts = [((c >> shift) & 255) * w for c, w in zip(corners, weights, strict=True)]
-        out[channel] = parts[0] + parts[1] + parts[2] + parts[3]
-    return out
+    share_x, share_y = x.sub_(x0), y.sub_(y0)
+    left, right = _neighbours(x0.int(), width, wrap=wrap_u)
+    top, bottom = _neighbours(y0.int(), height, wrap=False)
+    top.mul_(width).add_(base)
+    bottom.mul_(width).add_(base)
+    return _blend(atlas.texels, (left, right, top, bottom), share_x, share_y).view(3, *shape)
+
+
+def _tables(atlas: Atlas) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    """Width, height and their ratios to the full size, for every level of every picture."""
+    width, height = atlas.extent[..., 0], atlas.extent[..., 1]
+    ratio_u, ratio_v = width / width[:, :1], height / height[:, :1]
+    return width.int(), height.int(), ratio_u, ratio_v
+
+
+def _neighbours(first: Tensor, count: Tensor, *, wrap: bool) -> tuple[Tensor, Tensor]:
+    """A texel's number and the next one's, held inside or taken round."""
+    if wrap:
+        return first.remainder(count), (first + 1).remainder(count)
+    last = count - 1
+    low = torch.minimum(first.clamp_min(0), last)
+    return low, torch.minimum((first + 1).clamp_min_(0), last)
+
+
+def _blend(
+    texels: Tensor, corners: tuple[Tensor, Tensor, Tensor, Tensor], share_x: Tensor, share_y: Tensor
+) -> Tensor:
+    """Weigh four texels with weights that sum to 256, red and blue in one integer."""
+    left, right, top, bottom = corners
+    weight_x = share_x.mul_(256).add_(0.5).int()
+    low = (256 - weight_x) * (256 - (weight_y := share_y.mul_(256).add_(0.5).int()))
+    taps = [(low + 128) >> 8]
+    taps.append((weight_x * (256 - weight_y) + 128) >> 8)
+    taps.append(((256 - weight_x) * weight_y + 128) >> 8)
+    taps.append(256 - taps[0] - taps[1] - taps[2])
+    places = (top + left, top + right, bottom + left, bottom + right)
+    odd = even = None
+    for place, weight in zip(places, taps, strict=True):
+        word = texels.index_select(0, place)
+        pair = (word & _RED_BLUE).mul_(weight)
+        green = word.bitwise_right_shift_(8).bitwise_and_(255).mul_(weight)
+        even = pair if even is None else even.add_(pair)
+        odd = green if odd is None else odd.add_(green)
+    assert even is not None
+    assert odd is not None
+    out = torch.empty((3, len(share_x)), dtype=share_x.dtype, device=share_x.device)
+    out[0] = even & 0xFFFF
+    out[1] = odd
+    out[2] = even.bitwise_right_shift_(16).bitwise_and_(0xFFFF)
+    return out.mul_(1.0 / 256.0)
 
 
 def save_atlas(atlas: Atlas, path: Path) -> None:

@@ -27,8 +27,8 @@ _MOST_SEGMENTS = 60
 class Boxes:
     """A scene of boxes per sample; box 0 is seen from within, the others from without.
 
-    World axes: x right, y down, z forward, the floor at largest y; lengths in metres. Face 2a is the
-    one at −axis a, face 2a + 1 the one at +axis a.
+    World axes: x right, y down, z forward, the floor at largest y; lengths in metres. Face 2a is
+    the one at −axis a, face 2a + 1 the one at +axis a.
 
     Attributes:
         centre: Centres of the boxes.
@@ -70,20 +70,42 @@ def render_boxes(
         rows = torch.nonzero(boxes.half[:, k, 0] > 0)[:, 0]
         if len(rows):
             _cast_box(boxes, world, k, rows, (depth, face, owner, cosine, u, v))
-    surface = owner * FACES + face
-    index = surface + (torch.arange(shape[0], device=rays.device) * _slots(boxes))[:, None, None]
-    picture = boxes.picture.reshape(-1)[index]
-    tile = boxes.tile.reshape(-1, 2)[index]
-    offset = boxes.offset.reshape(-1, 2)[index]
-    width = atlas.extent[:, 0, 0].to(u.dtype)[picture]
-    height = atlas.extent[:, 0, 1].to(u.dtype)[picture]
-    column = _mirrored(u / tile[..., 0] + offset[..., 0]) * width - 0.5
-    row = _mirrored(v / tile[..., 1] + offset[..., 1]) * height - 0.5
-    pixel = 2.0 / (lens.vector[:, 0] * rays.shape[-1])
-    texels = pixel[:, None, None] * depth * height / tile[..., 1]
-    level = torch.log2(texels / cosine.clamp_min(0.05).sqrt()).round().clamp(0, 3).long()
+    index = face.add_(owner, alpha=FACES)
+    index += (torch.arange(shape[0], device=rays.device) * _slots(boxes))[:, None, None]
+    index = index.view(-1)
+    picture = boxes.picture.view(-1).index_select(0, index)
+    per_metre, start, shade, texels = (
+        table.view(-1, table.shape[-1]).T.contiguous() for table in _face_tables(atlas, boxes, lens)
+    )
+    # texels along the picture from its first repeat, folded back at every second border
+    column = _mirrored(u.view(-1), index, per_metre[0], start[0], texels[1])
+    row = _mirrored(v.view(-1), index, per_metre[1], start[1], texels[2])
+    footprint = depth.view(-1) * texels[0].index_select(0, index)
+    footprint *= cosine.view(-1).clamp_min_(0.05).rsqrt_()
+    level = footprint.log2_().round_().clamp_(0, 3).long()
     colour = sample(atlas, picture, column, row, level)
-    return (colour * boxes.shade.reshape(-1)[index]).clamp_(0, 255).movedim(0, 1)
+    colour *= shade[0].index_select(0, index)
+    return colour.clamp_(0, 255).view(3, shape[0], *shape[2:]).movedim(0, 1)
+
+
+def _face_tables(atlas: Atlas, boxes: Boxes, lens: Optics) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    """Per face: texels a metre and at its corner, shade, and (texels a pixel and metre, size)."""
+    extent = atlas.extent[boxes.picture, 0].to(boxes.tile.dtype)
+    per_metre = extent / boxes.tile.clamp_min(1e-6)
+    pixel = 2.0 / (lens.vector[:, 0] * lens.size)
+    footprint = per_metre[..., 1:] * pixel[:, None, None, None]
+    texels = torch.cat([footprint, extent], dim=-1)
+    return per_metre, boxes.offset * extent, boxes.shade[..., None], texels
+
+
+def _mirrored(
+    place: Tensor, index: Tensor, per_metre: Tensor, start: Tensor, size: Tensor
+) -> Tensor:
+    """Texel of a place on a face, pictures repeating mirrored."""
+    size = size.index_select(0, index)
+    texel = place * per_metre.index_select(0, index) + start.index_select(0, index)
+    folded = texel.remainder_(2 * size).sub_(size).abs_()
+    return size.sub_(folded).sub_(0.5)
 
 
 def box_segments(atlas: Atlas, boxes: Boxes) -> Segments3D:
@@ -122,11 +144,6 @@ def _turned(xyz: tuple[Tensor, ...] | Tensor, cosine: Tensor, sine: Tensor) -> t
     return cosine * x + sine * z, y, -sine * x + cosine * z
 
 
-def _mirrored(x: Tensor) -> Tensor:
-    """Repeat [0, 1] mirrored."""
-    return 1.0 - (x.remainder(2.0) - 1.0).abs()
-
-
 def _safe_inverse(x: Tensor) -> Tensor:
     return 1.0 / torch.where(x.abs() < _TINY, torch.full_like(x, _TINY), x)
 
@@ -137,12 +154,18 @@ def _cast_room(boxes: Boxes, world: Tensor) -> tuple[Tensor, ...]:
     eye = (boxes.position - boxes.centre[:, 0]).view(view)
     half = boxes.half[:, 0].view(view)
     distance = (half.copysign(world) - eye) * _safe_inverse(world)
-    depth, axis = distance.min(dim=1)
-    direction = world.gather(1, axis[:, None])[:, 0]
-    face = 2 * axis + (direction > 0)
-    hit = eye + depth[:, None] * world
-    u, v = _face_place(hit[:, 0], hit[:, 1], hit[:, 2], half[:, 0], half[:, 1], half[:, 2], axis)
-    return depth, face, direction.abs(), u, v
+    depth = torch.minimum(torch.minimum(distance[:, 0], distance[:, 1]), distance[:, 2])
+    is_x, is_y = ((distance[:, a] == depth).to(depth.dtype) for a in (0, 1))
+    is_y = is_y * (1.0 - is_x)
+    # chosen by arithmetic: selecting with masks is several times slower on a CPU
+    direction = (
+        world[:, 2] + is_x * (world[:, 0] - world[:, 2]) + is_y * (world[:, 1] - world[:, 2])
+    )
+    face = (4.0 - 4.0 * is_x - 2.0 * is_y + (direction > 0)).long()
+    hit = torch.addcmul(eye + half, depth[:, None], world)
+    u = torch.lerp(hit[:, 0], hit[:, 2], is_x)
+    v = torch.lerp(hit[:, 1], hit[:, 2], is_y)
+    return depth, face, direction.abs_(), u, v
 
 
 def _cast_box(

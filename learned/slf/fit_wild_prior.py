@@ -72,7 +72,9 @@ def gaussian_mixture(
 
 
 def log_normal(
-    x: Float[ndarray, "n #c d"], means: Float[ndarray, "c d"], covariances: Float[ndarray, "c d d"]
+    x: Float[ndarray, "n one_or_c d"],
+    means: Float[ndarray, "c d"],
+    covariances: Float[ndarray, "c d d"],
 ) -> Float[ndarray, "n c"]:
     """Log density of d-variate normals, shape (n, c)."""
     off = x - means

@@ -11,7 +11,7 @@ from torch import Tensor
 from learned.slf.atlas import Atlas
 from learned.slf.boxes import FACES, Boxes
 
-_CLEARANCE_M = 0.35
+_CLEARANCE_M = 0.6
 _CEILING, _FLOOR = 2, 3
 
 
@@ -41,7 +41,7 @@ class LayoutCfg:
         depth: Range of the depth per kind.
         object_size: Range of the objects' sides per kind.
         most_objects: Largest number of objects.
-        pattern_share: Weight of drawn patterns on walls; floors and ceilings take them twice as often.
+        pattern_share: Weight of drawn patterns on walls; on floors and ceilings it is doubled.
     """
 
     kinds: tuple[float, float, float] = (0.6, 0.15, 0.25)
@@ -89,7 +89,7 @@ def draw_boxes(
     config = config or LayoutCfg()
     kind = rng.choice(len(config.kinds), n, p=np.array(config.kinds) / sum(config.kinds))
     room = _log_uniform(rng, np.stack([_ranges(r, kind) for r in _sizes(config)], 1)) / 2
-    eye = room * rng.uniform(-1, 1, (n, 3)) * 0.8
+    eye = room * rng.uniform(-1, 1, (n, 3)) * 0.65
     eye[:, 1] = room[:, 1] - np.minimum(rng.uniform(0.7, 2.2, n), 1.8 * room[:, 1])
     eye[:, [0, 2]] = np.clip(eye[:, [0, 2]], -room[:, [0, 2]] + 0.3, room[:, [0, 2]] - 0.3)
     centre, half, yaw = _objects(rng, room, eye, _ranges(config.object_size, kind), config)

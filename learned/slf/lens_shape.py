@@ -12,18 +12,27 @@ from numpy import ndarray
 
 KNOTS = np.array([0.4, 0.65, 0.85, 1.0])
 _POWERS = np.array([1, 3, 5, 7, 9])
-_ANGLE_NODES = 721
+_ANGLE_NODES = 361
 _LARGEST_ANGLE = np.pi
 
 
-def radius(theta: Float[ndarray, "n m"], k: Float[ndarray, "n 5"]) -> Float[ndarray, "n m"]:
+def radius(theta: Float[ndarray, "#n m"], k: Float[ndarray, "n 5"]) -> Float[ndarray, "n m"]:
     """r(θ) = Σ k_i θ^(2i−1), one lens a row."""
-    return np.einsum("nmi,ni->nm", theta[..., None] ** _POWERS, k)
+    return _even_series(theta, k) * theta
 
 
-def slope(theta: Float[ndarray, "n m"], k: Float[ndarray, "n 5"]) -> Float[ndarray, "n m"]:
+def slope(theta: Float[ndarray, "#n m"], k: Float[ndarray, "n 5"]) -> Float[ndarray, "n m"]:
     """dr/dθ, one lens a row."""
-    return np.einsum("nmi,ni->nm", theta[..., None] ** (_POWERS - 1), k * _POWERS)
+    return _even_series(theta, k * _POWERS)
+
+
+def _even_series(theta: ndarray, k: ndarray) -> ndarray:
+    """Σ k_i θ^(2i−2) by Horner's rule."""
+    square = theta * theta
+    value = square * k[:, 4:5]
+    for i in (3, 2, 1):
+        value = (value + k[:, i : i + 1]) * square
+    return value + k[:, :1]
 
 
 def coefficients(shape: Float[ndarray, "n 5"], rho: Float[ndarray, " n"]) -> Float[ndarray, "n 5"]:
@@ -75,7 +84,7 @@ def shapes(
 def monotone_limit(k: Float[ndarray, "n 5"]) -> Float[ndarray, " n"]:
     """Largest angle up to which r rises, to half a degree, at most π."""
     theta = np.linspace(0.0, _LARGEST_ANGLE, _ANGLE_NODES)
-    falls = slope(np.broadcast_to(theta, (len(k), len(theta))), k) <= 0.0
+    falls = slope(theta[None], k) <= 0.0
     first = np.where(falls.any(axis=1), falls.argmax(axis=1), len(theta)) - 1
     return theta[np.maximum(first, 0)]
 
@@ -83,7 +92,7 @@ def monotone_limit(k: Float[ndarray, "n 5"]) -> Float[ndarray, " n"]:
 def first_angle(k: Float[ndarray, "n 5"], rho: Float[ndarray, " n"]) -> Float[ndarray, " n"]:
     """Angle at which the rising branch reaches `rho`; NaN where it never does."""
     theta = np.linspace(0.0, _LARGEST_ANGLE, _ANGLE_NODES)
-    r = radius(np.broadcast_to(theta, (len(k), len(theta))), k)
+    r = radius(theta[None], k)
     rising = theta <= monotone_limit(k)[:, None]
     reached = (r >= rho[:, None]) & rising
     first = np.maximum(reached.argmax(axis=1), 1)

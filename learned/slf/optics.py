@@ -101,18 +101,25 @@ def project(
         pixels: (u, v) per point.
         valid: True where the point is seen: inside frame, visible rectangle and image circle.
     """
-    vector = lens.vector[row]
-    across = torch.linalg.vector_norm(points[:, :2], dim=1)
-    theta = torch.atan2(across, points[:, 2])
-    theta_max = lens.theta_max[row]
+    x, y, z = points.T.contiguous()
+    table = torch.cat(
+        [lens.vector, lens.theta_max[:, None], lens.circle[:, None], lens.half_height[:, None]], 1
+    )
+    k1, k2, k3, k4, k5, m_u, m_v, u0, v0, theta_max, circle, half_height = (
+        table.T.contiguous().index_select(1, row)
+    )
+    across = torch.sqrt(x * x + y * y)
+    theta = torch.atan2(across, z)
     # beyond the lens the polynomial may run anywhere, so it is held just outside
-    r = radius(torch.minimum(theta, theta_max + _BEYOND), vector[:, :5])
+    held = torch.minimum(theta, theta_max + _BEYOND)
+    t = held * held
+    r = ((((k5 * t + k4) * t + k3) * t + k2) * t + k1) * held
     # on the axis the direction is undefined and the radius is zero
-    unit = points[:, :2] / across.clamp_min(1e-12)[:, None]
-    plane = r[:, None] * unit * vector[:, 5:7] + vector[:, 7:9]
-    valid = (theta <= theta_max) & (r <= lens.circle[row])
-    valid &= (plane[:, 0].abs() <= 1.0) & (plane[:, 1].abs() <= lens.half_height[row])
-    return plane * (lens.size / 2) + (lens.size - 1) / 2, valid
+    scale = r / across.clamp_min(1e-12)
+    u, v = scale * x * m_u + u0, scale * y * m_v + v0
+    valid = (theta <= theta_max) & (r <= circle) & (u.abs() <= 1.0) & (v.abs() <= half_height)
+    pixels = torch.stack([u, v], 1) * (lens.size / 2) + (lens.size - 1) / 2
+    return pixels, valid
 
 
 def _frame_coordinate(size: int, oversampling: int, like: Tensor) -> Tensor:
@@ -123,7 +130,7 @@ def _frame_coordinate(size: int, oversampling: int, like: Tensor) -> Tensor:
 
 
 def _ray_tables(lens: Optics, top: Tensor) -> tuple[Tensor, Tensor]:
-    """sin θ / r and cos θ at equally spaced radii from 0 to `top`."""
+    """Ratio sin θ / r and cos θ at equally spaced radii from 0 to `top`."""
     share = torch.linspace(0.0, 1.0, _TABLE_NODES, dtype=top.dtype, device=top.device)
     r = top[:, None] * share
     theta, _ = theta_from_radius(r, lens.vector[:, :5], lens.theta_max)

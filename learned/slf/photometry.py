@@ -1,10 +1,11 @@
 """What a real camera does to a clean picture: light, optics, sensor, compression, overlays.
 
-Everything is plain tensor arithmetic per sample, on any device; random numbers come from NumPy, so a
-picture is the same wherever it is made.
+Everything is plain tensor arithmetic per sample, on any device; random numbers come from NumPy, so
+a picture is the same wherever it is made.
 """
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 import torch
@@ -132,11 +133,17 @@ def _exposed(
     stops = rng.normal(0, config.exposure, (batch, 1)) * np.log(2)
     gain = _tensor(np.exp(stops + rng.normal(0, config.cast, (batch, 3))), image)
     gamma = _tensor(np.exp(rng.normal(0, config.gamma, batch)), image)
+    curved = rng.random(batch) < 0.5
     square = _plane_radius(lens, image) ** 2
     fall = 1.0 - _tensor(loss, image)[:, None, None] * (square / 2).clamp_max(1.0)
     out = image * fall[:, None]
     out *= gain[:, :, None, None]
-    return out.clamp_(0, 1).pow_(gamma[:, None, None, None])
+    # pow is the dearest operation here, and a gamma of 1 is common enough
+    rows = torch.as_tensor(np.nonzero(curved)[0], device=image.device)
+    out.clamp_(0, 1)
+    if len(rows):
+        out[rows] = out[rows].pow_(gamma[rows, None, None, None])
+    return out
 
 
 def _edged(image: Tensor, lens: Optics, rng: np.random.Generator, config: PhotometryCfg) -> Tensor:
@@ -153,26 +160,38 @@ def _edged(image: Tensor, lens: Optics, rng: np.random.Generator, config: Photom
     r = _plane_radius(lens, image)
     edge = torch.minimum(radius(lens.theta_max[:, None], lens.vector[:, :5])[:, 0], lens.circle)
     inwards = edge[:, None, None] - r
-    circles = _tensor(np.isfinite(lens.circle.cpu().numpy()).astype(float), image)[:, None, None]
-    fade = (inwards / _tensor(soft, image)[:, None, None]).clamp(0, 1)
-    image = image * torch.lerp(torch.ones_like(fade), fade, circles)[:, None]
-    glow = torch.exp(-((inwards / _tensor(ring_width, image)[:, None, None]) ** 2)) * circles
-    outside = (inwards < 0) | (_plane_rows(lens, image) > lens.half_height[:, None, None])
-    glow = glow * (_plane_rows(lens, image) <= lens.half_height[:, None, None])
-    image += glow[:, None] * _tensor(ring, image)[:, :, None, None]
-    return image + (outside * _tensor(surround, image)[:, None, None])[:, None]
+    inside_rows = _plane_rows(lens, image) <= lens.half_height[:, None, None]
+    rows = torch.nonzero(torch.isfinite(lens.circle))[:, 0]
+    if len(rows):
+        # the edge is hard elsewhere, where the frame or the scene ends and not the lens
+        part = inwards[rows]
+        fade = (part / _tensor(soft, image)[rows, None, None]).clamp_(0, 1)
+        glow = torch.exp(-((part / _tensor(ring_width, image)[rows, None, None]) ** 2))
+        glow = (glow * inside_rows[rows])[:, None] * _tensor(ring, image)[rows][:, :, None, None]
+        image[rows] = image[rows] * fade[:, None] + glow
+    if surround.any():
+        outside = (inwards < 0) | ~inside_rows
+        image = image + (outside * _tensor(surround, image)[:, None, None])[:, None]
+    return image
 
 
 def _noisy(image: Tensor, rng: np.random.Generator, config: PhotometryCfg) -> Tensor:
-    """Signal-dependent sensor noise, read from a bank that is drawn once a batch."""
+    """Signal-dependent sensor noise, cut at random places out of a bank."""
     batch, count = len(image), image[0].numel()
-    low, high = np.log(config.noise)
-    sigma = _tensor(np.exp(rng.uniform(low, high, batch)), image).view(-1, 1, 1, 1)
-    bank = _tensor(rng.standard_normal(_NOISE_BANK, dtype=np.float32), image)
-    bank = torch.cat([bank, bank[:count]])
+    sigma = np.exp(rng.uniform(*np.log(config.noise), batch))
     starts = rng.integers(0, _NOISE_BANK, batch)
-    noise = torch.stack([bank[s : s + count] for s in starts]).view_as(image)
-    return image + noise * sigma * (0.3 + 1.4 * image).clamp_min(0).sqrt()
+    bank = _noise_bank(str(image.device), _NOISE_BANK + count)
+    for row, start in enumerate(starts.tolist()):
+        level = image[row].clamp_min(0.0).mul_(1.4).add_(0.3).sqrt_().mul_(float(sigma[row]))
+        image[row].addcmul_(level, bank[start : start + count].view_as(level))
+    return image
+
+
+@lru_cache(maxsize=4)
+def _noise_bank(device: str, count: int) -> Tensor:
+    """Standard normal numbers, always the same; their end repeats their beginning."""
+    bank = np.random.default_rng(0).standard_normal(_NOISE_BANK, dtype=np.float32)
+    return torch.from_numpy(np.resize(bank, count)).to(device)
 
 
 def _compressed(image: Tensor, rng: np.random.Generator, config: PhotometryCfg) -> Tensor:

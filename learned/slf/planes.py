@@ -6,9 +6,9 @@ import numpy as np
 import torch
 from jaxtyping import Float, Int
 from torch import Tensor
+from torch.nn import functional
 
-from learned.slf.atlas import Atlas, sample
-from learned.slf.optics import Optics
+from learned.slf.atlas import Atlas
 from learned.slf.strokes import Segments3D, ragged_arange
 
 
@@ -65,22 +65,28 @@ def draw_planes(
 
 
 def render_planes(
-    atlas: Atlas, planes: Planes, lens: Optics, rays: Float[Tensor, "b 3 h w"]
+    atlas: Atlas, planes: Planes, rays: Float[Tensor, "b 3 h w"]
 ) -> Float[Tensor, "b 3 h w"]:
     """What each ray sees of its photograph, in [0, 255]; black beside it."""
     forward = rays[:, 2]
     depth = 1.0 / forward.clamp_min(1e-3)
     x, y = rays[:, 0] * depth, rays[:, 1] * depth
-    axes = planes.axes()[:, :, :, None, None]
-    u = planes.centre[:, 0, None, None] + axes[:, 0, 0] * x + axes[:, 0, 1] * y
-    v = planes.centre[:, 1, None, None] + axes[:, 1, 0] * x + axes[:, 1, 1] * y
-    texels = torch.linalg.vector_norm(planes.axis, dim=1)
-    texels = texels / (lens.vector[:, 0] * (rays.shape[-1] / 2))
-    level = torch.log2(texels[:, None, None] * depth**1.5).round().clamp(0, 3).long()
-    picture = planes.picture[:, None, None].expand_as(level)
-    colour = sample(atlas, picture, u, v, level)
-    seen = (forward > 1e-3) & (x.abs() <= 1.0) & (y.abs() <= 1.0)
-    return (colour * seen).movedim(0, 1)
+    extent = atlas.extent[planes.picture, 0].to(rays.dtype)
+    # grid_sample wants the picture between −1 and 1, from border to border
+    scale = (2.0 / extent)[:, :, None]
+    shift = (2.0 * planes.centre + 1.0) / extent - 1.0
+    axes = (planes.axes() * scale)[..., None, None]
+    grid = torch.stack(
+        [shift[:, i, None, None] + axes[:, i, 0] * x + axes[:, i, 1] * y for i in (0, 1)],
+        dim=3,
+    )
+    out = torch.empty_like(rays)
+    for row, picture in enumerate(planes.picture.tolist()):
+        out[row] = functional.grid_sample(
+            atlas.image(picture)[None], grid[row : row + 1], align_corners=False
+        )[0]
+    seen = (torch.maximum(x.abs(), y.abs()) <= 1.0) & (forward > 1e-3)
+    return out.mul_(seen[:, None])
 
 
 def plane_segments(atlas: Atlas, planes: Planes) -> Segments3D:

@@ -5,6 +5,8 @@ Batch i depends on the seed and on i only, so that a stopped training goes on wi
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from functools import lru_cache
+from itertools import pairwise
 
 import numpy as np
 import torch
@@ -25,6 +27,7 @@ from learned.slf.strokes import Strokes, bent_strokes, draw_line_map
 
 PHOTOGRAPH, PATTERN, PANORAMA = 0, 1, 2
 _PLANES, _BOXES, _VIEWS = 0, 1, 2
+_BLOCK = 64
 
 
 @dataclass(frozen=True)
@@ -41,6 +44,8 @@ class StreamCfg:
         layout: Sizes of the box scenes.
         pose: Camera poses of panoramas.
         oversampling: Rays per pixel and axis.
+        group: Samples made together. One is best on a CPU, whose caches hold one picture; take 16
+            or more on a GPU. Samples depend on it, so keep it when resuming.
         with_rectified: Whether to make the rectified ground truth; zeros otherwise.
     """
 
@@ -51,6 +56,7 @@ class StreamCfg:
     layout: LayoutCfg = field(default_factory=LayoutCfg)
     pose: PoseCfg = field(default_factory=PoseCfg)
     oversampling: int = 1
+    group: int = 1
     with_rectified: bool = True
 
 
@@ -90,38 +96,48 @@ class SlfStream:
     @torch.no_grad()
     def batch_and_strokes(self, index: int) -> tuple[SlfBatch, Strokes]:
         """Batch `index` with the bent lines as points."""
-        rng = np.random.default_rng([self.seed, index])
-        scene, lens = self._lenses(rng)
+        first, last = index * self.batch_size, (index + 1) * self.batch_size
+        group = self.config.group
+        edges = sorted({first, last, *range(-(-first // group) * group, last, group)})
+        parts = [self._samples(a, b) for a, b in pairwise(edges)]
+        device = self.atlas.texels.device
+        rows = [torch.arange(a - first, b - first, device=device) for a, b in pairwise(edges)]
+        strokes = [(strokes, at) for (_, strokes), at in zip(parts, rows, strict=True)]
+        return joined_batches([batch for batch, _ in parts]), joined_strokes(strokes)
+
+    def _samples(self, first: int, last: int) -> tuple[SlfBatch, Strokes]:
+        """Samples of one group, made together."""
+        rng = np.random.default_rng([self.seed, 1, first])
+        scene, lens = self._lenses(first, last)
         rays, valid = pixel_rays(lens, oversampling=self.config.oversampling)
         clean = torch.empty_like(rays)
         strokes = []
         for kind, make in ((_PLANES, self._planes), (_BOXES, self._boxes), (_VIEWS, self._views)):
-            rows = torch.nonzero(torch.from_numpy(scene == kind))[:, 0].to(rays.device)
+            rows = torch.from_numpy(np.nonzero(scene == kind)[0]).to(rays.device)
             if len(rows):
                 clean[rows], runs = make(rng, lens[rows], rays[rows])
                 strokes.append((runs, rows))
-        clean = _averaged(clean * (valid[:, None] / 255.0), self.config.oversampling)
+        clean = _averaged(clean.mul_(valid[:, None] / 255.0), self.config.oversampling)
         lines = joined_strokes(strokes)
         image = clean
         if self.config.photometry is not None:
             image = photographed(clean, lens, rng=rng, config=self.config.photometry)
         flat = rectified(clean, lens) if self.config.with_rectified else torch.zeros_like(clean)
-        line_map = draw_line_map(lines, batch=self.batch_size, size=self.size)
+        line_map = draw_line_map(lines, batch=last - first, size=self.size)
         return SlfBatch(image, line_map, lens.vector, flat, lens.theta_max), lines
 
-    def _lenses(self, rng: np.random.Generator) -> tuple[np.ndarray, Optics]:
-        """The scene of each sample and its lens."""
-        there = [len(self.atlas.of_kind(kind)) > 0 for kind in (PHOTOGRAPH, PHOTOGRAPH, PANORAMA)]
-        weights = np.array(self.config.scenes) * there
-        scene = np.sort(rng.choice(3, self.batch_size, p=weights / weights.sum()))
-        wild = (scene != _PLANES) & (rng.random(self.batch_size) < self.config.wild_share)
-        n_wild = int(wild.sum())
-        drawn = [lens_prior("paper").sample(rng, self.batch_size - n_wild)]
-        if n_wild:
-            drawn.append(lens_prior("wild").sample(rng, n_wild))
-        place = np.argsort(np.concatenate([np.nonzero(~wild)[0], np.nonzero(wild)[0]]))
-        lenses: LensBatch = concatenated(drawn)[place]
-        return scene, optics(lenses, size=self.size, device=self.atlas.texels.device)
+    def _lenses(self, first: int, last: int) -> tuple[np.ndarray, Optics]:
+        """The scene of each sample and its lens; drawn in blocks, which is much cheaper."""
+        weights = np.array(self.config.scenes, float) * [
+            len(self.atlas.of_kind(kind)) > 0 for kind in (PHOTOGRAPH, PHOTOGRAPH, PANORAMA)
+        ]
+        blocks = range(first // _BLOCK, (last - 1) // _BLOCK + 1)
+        share = tuple((weights / weights.sum()).tolist())
+        drawn = [lens_block(self.seed, i, share, self.config.wild_share) for i in blocks]
+        scene = np.concatenate([part for part, _ in drawn])
+        lenses = concatenated([part for _, part in drawn])
+        rows = slice(first - blocks[0] * _BLOCK, last - blocks[0] * _BLOCK)
+        return scene[rows], optics(lenses[rows], size=self.size, device=self.atlas.texels.device)
 
     def _planes(
         self, rng: np.random.Generator, lens: Optics, rays: Tensor
@@ -131,7 +147,7 @@ class SlfStream:
         lines = bent_strokes(
             lens, plane_segments(self.atlas, planes), shortest_px=self.config.shortest_px
         )
-        return render_planes(self.atlas, planes, lens, rays), lines
+        return render_planes(self.atlas, planes, rays), lines
 
     def _boxes(
         self, rng: np.random.Generator, lens: Optics, rays: Tensor
@@ -159,6 +175,24 @@ class SlfStream:
             lens, view_segments(self.atlas, views), shortest_px=self.config.shortest_px
         )
         return render_views(self.atlas, views, rays), lines
+
+
+@lru_cache(maxsize=64)
+def lens_block(
+    seed: int, block: int, scenes: tuple[float, ...], wild_share: float
+) -> tuple[np.ndarray, LensBatch]:
+    """Scene and lens of a block of samples, from the seed and the number of the block."""
+    rng = np.random.default_rng([seed, 0, block])
+    scene = rng.choice(len(scenes), _BLOCK, p=scenes)
+    wild = (scene != _PLANES) & (rng.random(_BLOCK) < wild_share)
+    drawn = [lens_prior(name).sample(rng, _BLOCK) for name in ("paper", "wild")]
+    return scene, concatenated(drawn)[np.arange(_BLOCK) + _BLOCK * wild]
+
+
+def joined_batches(parts: list[SlfBatch]) -> SlfBatch:
+    """Several batches as one."""
+    names = SlfBatch.__dataclass_fields__
+    return SlfBatch(**{name: torch.cat([getattr(p, name) for p in parts]) for name in names})
 
 
 def joined_strokes(parts: list[tuple[Strokes, Tensor]]) -> Strokes:

@@ -15,9 +15,10 @@ from learned.slf.optics import Optics, project
 
 CLIPPED_LENGTH = 255.0
 _HALF_WIDTH_PX = 1.0
-_COARSE_NODES = 25
-_STEP_PX = 0.5
+_COARSE_NODES = 13
+_STEP_PX = 1.0
 _MOST_STEPS = 1600
+_LARGEST_STRETCH = 1.6
 
 Visibility = Callable[[Float[Tensor, "n 3"], Int[Tensor, " n"]], Bool[Tensor, " n"]]
 """Which points in camera coordinates of which sample are not hidden by something nearer."""
@@ -47,7 +48,7 @@ class Strokes:
     """Visible runs of bent lines as dense points, one run after the other.
 
     Attributes:
-        points: Pixels (u, v), half a pixel apart or less.
+        points: Pixels (u, v), at most one apart.
         tangent: Unit directions of the curves at the points.
         run: Number of the run of each point, rising from 0.
         length: Bent length of each run in pixels, shape (runs,).
@@ -78,31 +79,34 @@ def bent_strokes(
         visibility: What hides points, if anything does.
         shortest_px: Runs shorter than this are dropped.
     """
+    segments, original = _worth_imaging(lens, segments, shortest_px)
     share, which = _dense_parameters(lens, segments)
-    row = segments.row[which]
-    points, valid = project(lens, _along(segments, share, which), row)
-    if visibility is not None:
-        valid = valid & visibility(_along(segments, share, which), row)
-    points, which = points[valid], which[valid]
+    place = _along(segments, share, which)
+    row = segments.row.index_select(0, which)
+    points, valid = project(lens, place, row)
     index = torch.nonzero(valid)[:, 0]
-    step = torch.zeros_like(points)
-    step[:-1] = points[1:] - points[:-1]
+    if visibility is not None:
+        seen = visibility(place.index_select(0, index), row.index_select(0, index))
+        index = index[seen]
+    points, which = points.index_select(0, index), which.index_select(0, index)
     # a run ends where the piece changes or where a hidden or unseen point lies between
     continues = torch.zeros(len(points), dtype=torch.bool, device=points.device)
     continues[:-1] = (which[1:] == which[:-1]) & (index[1:] == index[:-1] + 1)
     starts = torch.ones_like(continues)
     starts[1:] = ~continues[:-1]
     run = torch.cumsum(starts, 0) - 1
-    distance = torch.linalg.vector_norm(step, dim=1) * continues
-    n_runs = int(run[-1]) + 1 if len(run) else 0
-    length = torch.zeros(n_runs, dtype=points.dtype, device=points.device)
-    length.index_add_(0, run, distance)
-    tangent = step / torch.linalg.vector_norm(step, dim=1, keepdim=True).clamp_min(1e-9)
-    last = ~continues
-    tangent[1:][last[1:]] = tangent[:-1][last[1:]]
+    step = torch.zeros_like(points)
+    step[:-1] = points[1:] - points[:-1]
+    distance = torch.hypot(step[:, 0], step[:, 1]) * continues
     first = torch.nonzero(starts)[:, 0]
-    segment = which[first]
-    return _kept(points, tangent, run, length, segments.row[segment], segment, shortest_px)
+    length = torch.zeros(len(first), dtype=points.dtype, device=points.device)
+    length.index_add_(0, run, distance)
+    tangent = step / distance.clamp_min(1e-9)[:, None] * continues[:, None]
+    # the last point of a run has the direction of the one before
+    tangent[1:] += tangent[:-1] * (~continues[1:])[:, None]
+    segment = which.index_select(0, first)
+    rows = segments.row.index_select(0, segment)
+    return _kept(points, tangent, run, length, rows, original[segment], shortest_px)
 
 
 def draw_line_map(strokes: Strokes, *, batch: int, size: int) -> Float[Tensor, "b 1 h w"]:
@@ -120,21 +124,21 @@ def draw_line_map(strokes: Strokes, *, batch: int, size: int) -> Float[Tensor, "
     canvas = torch.zeros(batch * size * size, dtype=dtype, device=device)
     if len(strokes.points) == 0:
         return canvas.view(batch, 1, size, size)
-    offset = torch.arange(-1, 2, device=device, dtype=dtype)
-    grid = torch.stack(torch.meshgrid(offset, offset, indexing="ij"), -1).view(1, 9, 2)
-    nearest = torch.round(strokes.points)[:, None] + grid
-    away = nearest - strokes.points[:, None]
-    tangent = strokes.tangent[:, None]
-    across = away[..., 0] * tangent[..., 1] - away[..., 1] * tangent[..., 0]
-    along = (away * tangent).sum(-1)
-    near = (across.abs() <= _HALF_WIDTH_PX) & (along.abs() <= _STEP_PX)
-    near |= (away * away).sum(-1) <= _HALF_WIDTH_PX**2
-    near &= ((nearest >= 0) & (nearest <= size - 1)).all(-1)
     value = strokes.length.clamp_max(CLIPPED_LENGTH) / CLIPPED_LENGTH
-    cell = nearest[..., 1].long() * size + nearest[..., 0].long()
-    cell += (strokes.row[strokes.run] * (size * size))[:, None]
-    levels = value[strokes.run][:, None].expand(-1, 9)
-    canvas.scatter_reduce_(0, cell[near], levels[near], "amax")
+    value = value.index_select(0, strokes.run)
+    first = strokes.row.index_select(0, strokes.run) * (size * size)
+    u, v = strokes.points.T.contiguous()
+    du, dv = strokes.tangent.T.contiguous()
+    column, row = torch.round(u), torch.round(v)
+    for i in (-1, 0, 1):
+        for j in (-1, 0, 1):
+            x, y = column + i, row + j
+            a, b = x - u, y - v
+            near = ((a * dv - b * du).abs() <= _HALF_WIDTH_PX) & ((a * du + b * dv).abs() <= 0.5)
+            near |= a * a + b * b <= _HALF_WIDTH_PX**2
+            near &= (torch.minimum(x, y) >= 0) & (torch.maximum(x, y) <= size - 1)
+            cell = first + (y * size + x).clamp(0, size * size - 1).long()
+            canvas.scatter_reduce_(0, cell, value * near, "amax")
     return canvas.view(batch, 1, size, size)
 
 
@@ -142,16 +146,38 @@ def ragged_arange(counts: Int[Tensor, " n"]) -> tuple[Int[Tensor, " m"], Int[Ten
     """Owner and place within the owner for `counts` items each, one owner after the other."""
     owner = torch.repeat_interleave(torch.arange(len(counts), device=counts.device), counts)
     before = torch.cumsum(counts, 0) - counts
-    return owner, torch.arange(len(owner), device=counts.device) - before[owner]
+    place = torch.arange(len(owner), device=counts.device)
+    return owner, place.sub_(before.index_select(0, owner))
+
+
+def _worth_imaging(
+    lens: Optics, segments: Segments3D, shortest_px: float
+) -> tuple[Segments3D, Tensor]:
+    """Pieces that may give a run of the least length, and their numbers."""
+    unit_a = segments.start / _norm(segments.start).clamp_min(1e-9)
+    unit_b = segments.end / _norm(segments.end).clamp_min(1e-9)
+    angle = 2 * torch.asin((_norm(unit_a - unit_b)[:, 0] / 2).clamp_max(1.0))
+    vector, theta_max = lens.vector[segments.row], lens.theta_max[segments.row]
+    scale = vector[:, :5].abs().sum(1) * (lens.size / 2)
+    long_enough = angle * torch.minimum(scale, vector[:, 0] * lens.size / 2 * _LARGEST_STRETCH)
+    nearest_axis = torch.acos(torch.maximum(unit_a[:, 2], unit_b[:, 2]).clamp(-1, 1))
+    keep = (long_enough >= shortest_px) & (nearest_axis - angle <= theta_max)
+    kept = torch.nonzero(keep)[:, 0]
+    parts = (x.index_select(0, kept) for x in (segments.start, segments.end, segments.row))
+    return Segments3D(*parts), kept
+
+
+def _norm(x: Tensor) -> Tensor:
+    return torch.linalg.vector_norm(x, dim=1, keepdim=True)
 
 
 def _along(segments: Segments3D, share: Tensor, which: Tensor) -> Tensor:
-    start, end = segments.start[which], segments.end[which]
-    return start + share[:, None] * (end - start)
+    start, end = segments.start.index_select(0, which), segments.end.index_select(0, which)
+    return torch.lerp(start, end, share[:, None])
 
 
 def _dense_parameters(lens: Optics, segments: Segments3D) -> tuple[Tensor, Tensor]:
-    """Places on the pieces, at most half a pixel apart in the image, and their piece."""
+    """Places on the pieces, at most a pixel apart in the image, and their piece."""
     n, device = len(segments), segments.start.device
     share = _even_angles(segments)
     which = torch.arange(n, device=device).repeat_interleave(_COARSE_NODES)
@@ -165,10 +191,10 @@ def _dense_parameters(lens: Optics, segments: Segments3D) -> tuple[Tensor, Tenso
     counts = torch.ceil(distance / (0.9 * _STEP_PX)).clamp(1, _MOST_STEPS).long() * needed
     interval, place = ragged_arange(counts.view(-1))
     owner = interval // (_COARSE_NODES - 1)
-    low = share[:, :-1].reshape(-1)[interval]
-    high = share[:, 1:].reshape(-1)[interval]
-    fraction = place.to(share.dtype) / counts.view(-1)[interval]
-    return low + (high - low) * fraction, owner
+    low = share[:, :-1].reshape(-1).index_select(0, interval)
+    high = share[:, 1:].reshape(-1).index_select(0, interval)
+    fraction = place.to(share.dtype) / counts.view(-1).index_select(0, interval)
+    return torch.lerp(low, high, fraction), owner
 
 
 def _even_angles(segments: Segments3D) -> Tensor:
@@ -198,7 +224,12 @@ def _kept(
     """Drop short runs and number the others anew."""
     keep = length >= shortest
     number = torch.cumsum(keep, 0) - 1
-    stays = keep[run]
+    stays = torch.nonzero(keep.index_select(0, run))[:, 0]
     return Strokes(
-        points[stays], tangent[stays], number[run[stays]], length[keep], row[keep], segment[keep]
+        points.index_select(0, stays),
+        tangent.index_select(0, stays),
+        number.index_select(0, run.index_select(0, stays)),
+        length[keep],
+        row[keep],
+        segment[keep],
     )
