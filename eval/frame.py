@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Float32, UInt8
 from numpy import ndarray
 
-from eval.metrics import FRAME_FOCAL, FRAME_WIDTH, Lens, align, rectified
+from eval.metrics import FRAME_FOCAL, FRAME_WIDTH, Lens, align
 
 OUTSIDE = -32.0
 """Coordinate of a pixel without a source; it resamples to black."""
@@ -68,12 +68,9 @@ def to_frame_size(photo: UInt8[ndarray, "h w *c"]) -> UInt8[ndarray, "h2 w2 *c"]
     return cv2.resize(photo, size, interpolation=cv2.INTER_AREA if shrink else cv2.INTER_LINEAR)
 
 
-def best_similarity(
-    estimate: Lens | None, truth: Lens, points: Float[ndarray, "n 2"], width: int, height: int
-) -> Similarity:
-    """The similarity of the aligned protocol, from the pixels on which two lenses are compared."""
-    place = rectified(estimate, points, width, height)
-    return Similarity(*align(place, rectified(truth, points, width, height)))
+def best_similarity(place: Float[ndarray, "n 2"], target: Float[ndarray, "n 2"]) -> Similarity:
+    """The similarity of the aligned protocol; places of the same pixels in the frame."""
+    return Similarity(*align(place, target))
 
 
 def source_maps(

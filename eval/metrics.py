@@ -12,6 +12,8 @@ import numpy as np
 from jaxtyping import Bool, Float
 from numpy import ndarray
 
+from classical.camera import Pinhole
+
 FRAME_WIDTH = 320
 """Width of the frame in which every length is given, in pixels."""
 
@@ -102,7 +104,11 @@ def rectified(
     outward = points - [(width - 1) / 2, (height - 1) / 2]
     if lens is None:
         return outward * (FRAME_WIDTH / width)
-    rays, valid = lens.unproject(points)
+    return _place(*lens.unproject(points), outward)
+
+
+def _place(rays: ndarray, valid: ndarray, outward: ndarray) -> Float[ndarray, "n 2"]:
+    """Intersect rays with the plane of the frame, as `rectified` says."""
     direction = np.where(np.isfinite(rays[:, :2]), rays[:, :2], 0.0)
     known = np.linalg.norm(direction, axis=1, keepdims=True) > 0.0
     direction = np.where(known | valid[:, None], direction, outward)
@@ -136,29 +142,18 @@ def align(
 
 
 def distances(
-    estimate: Lens | None,
-    truth: Lens,
-    points: Float[ndarray, "n 2"],
-    width: int,
-    height: int,
-    *,
-    aligned: bool,
+    place: Float[ndarray, "n 2"], target: Float[ndarray, "n 2"], *, aligned: bool
 ) -> Float[ndarray, " n"]:
-    """Distance in the rectified frame between the estimated and the true place of each pixel.
+    """Distance between the estimated and the true place of each pixel in the rectified frame.
 
     Args:
-        estimate: The estimated lens; `None` where it failed, which leaves the photograph alone.
-        truth: The true lens.
-        points: Pixels of the photograph at which to compare, shape (n, 2).
-        width: Width of the photograph in pixels.
-        height: Height of the photograph in pixels.
+        place: Where the estimate sends the pixels (`rectified`).
+        target: Where the truth sends them.
         aligned: Move the estimate by the best similarity (`align`) first.
 
     Returns:
         Distances in pixels of the 320 px frame, shape (n,).
     """
-    place = rectified(estimate, points, width, height)
-    target = rectified(truth, points, width, height)
     if aligned:
         scale, rotation, shift = align(place, target)
         place = scale * place @ rotation.T + shift
@@ -182,7 +177,8 @@ def rpe(
     centre. A failure (`None`) is the photograph left alone: its pixels scaled to 320 px.
     """
     points = compared_pixels(truth, width, height, theta_max=theta_max, spacing=spacing)
-    return float(distances(estimate, truth, points, width, height, aligned=False).mean())
+    place, target = (rectified(lens, points, width, height) for lens in (estimate, truth))
+    return float(distances(place, target, aligned=False).mean())
 
 
 def aligned_error(
@@ -201,7 +197,8 @@ def aligned_error(
     A division model without focal length is judged by this and not by `rpe`.
     """
     points = compared_pixels(truth, width, height, theta_max=theta_max, spacing=spacing)
-    return float(distances(estimate, truth, points, width, height, aligned=True).mean())
+    place, target = (rectified(lens, points, width, height) for lens in (estimate, truth))
+    return float(distances(place, target, aligned=True).mean())
 
 
 def angular_error(
@@ -219,27 +216,33 @@ def angular_error(
     without a ray counts like one at `THETA_CAP` (see `rectified`).
     """
     points = compared_pixels(truth, width, height, theta_max=theta_max, spacing=spacing)
-    return float(np.degrees(_angles(estimate, truth, points, width, height)).mean())
+    return float(np.degrees(angles(estimate, truth, points, width, height)).mean())
 
 
-def _angles(
-    estimate: Lens | None, truth: Lens, points: ndarray, width: int, height: int
+def angles(
+    estimate: Lens | None,
+    truth: Lens,
+    points: Float[ndarray, "n 2"],
+    width: int,
+    height: int,
 ) -> Float[ndarray, " n"]:
-    """Angles between rays in radians, by the chord: exact where the arccosine is not."""
+    """Angle between the estimated and the true ray of each pixel, radians; see `angular_error`."""
     chord = np.linalg.norm(
         _rays(estimate, points, width, height) - _rays(truth, points, width, height), axis=1
     )
-    return 2.0 * np.arcsin(np.minimum(chord / 2.0, 1.0))
+    return 2.0 * np.arcsin(np.minimum(chord / 2.0, 1.0))  # exact where the arccosine is not
 
 
 def _rays(lens: Lens | None, points: ndarray, width: int, height: int) -> Float[ndarray, "n 3"]:
     """Unit rays of pixels; where the lens has none, that of the place it is charged for."""
-    place = rectified(lens, points, width, height)
+    if lens is None:
+        lens = Pinhole.centred(width / 2, width, height)
+    rays, valid = lens.unproject(points)
+    if valid.all():
+        return rays
+    place = _place(rays, valid, points - [(width - 1) / 2, (height - 1) / 2])
     charged = np.column_stack([place, np.full(len(place), FRAME_FOCAL)])
     charged /= np.linalg.norm(charged, axis=1, keepdims=True)
-    if lens is None:
-        return charged
-    rays, valid = lens.unproject(points)
     return np.where(valid[:, None], rays, charged)
 
 

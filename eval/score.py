@@ -30,11 +30,12 @@ from eval.lines import draw_line_map, grid_lines, match_line_maps, straightness
 from eval.methods import Method
 from eval.metrics import (
     Lens,
-    angular_error,
+    angles,
     compared_pixels,
     distances,
     focal_error,
     polar_angle,
+    rectified,
 )
 from eval.pool import ordered_map
 from eval.prediction import Estimate, Prediction
@@ -81,6 +82,11 @@ class Truth:
         """The pixels on which lenses are compared."""
         size = (self.camera.width, self.camera.height)
         return compared_pixels(self.camera, *size, theta_max=self.theta_max)
+
+    @cached_property
+    def places(self) -> Float[ndarray, "n 2"]:
+        """Where the truth sends these pixels in the frame."""
+        return rectified(self.camera, self.points, self.camera.width, self.camera.height)
 
     @cached_property
     def curves(self) -> list[Float[ndarray, "_ 2"]]:
@@ -171,15 +177,19 @@ def score_prediction(prediction: Prediction, truth: Truth) -> dict[str, Any]:
     camera = truth.camera
     size = {"width": camera.width, "height": camera.height}
     lens = _in_frame(prediction.camera, camera)
-    similarity = best_similarity(lens, camera, truth.points, **size)
-    angle = angular_error(lens, camera, theta_max=truth.theta_max, **size)
+    place = rectified(lens, truth.points, **size)
+    similarity = best_similarity(place, truth.places)
+    angle = angles(lens, camera, truth.points, **size).mean()
+    plain, aligned = (
+        float(distances(place, truth.places, aligned=choice).mean()) for choice in (False, True)
+    )
     return {
-        "paper": _protocol(lens, truth, None),
-        "aligned": _protocol(lens, truth, similarity),
+        "paper": {"rpe": plain, **_pictures(lens, truth, None)},
+        "aligned": {"rpe": aligned, **_pictures(lens, truth, similarity)},
         "straightness": straightness(
             lens, truth.plumb_lines, **size, similarity=similarity, keep=truth.kept
         ),
-        "angular_error": angle,
+        "angular_error": float(np.degrees(angle)),
         "focal_error": None if lens is None else focal_error(lens, camera),
         "scale": similarity.scale,
         "seconds": prediction.seconds,
@@ -190,17 +200,12 @@ def score_prediction(prediction: Prediction, truth: Truth) -> dict[str, Any]:
     }
 
 
-def _protocol(
+def _pictures(
     lens: Lens | None, truth: Truth, similarity: Similarity | None
 ) -> dict[str, float | list[int] | int]:
-    """The paper's four metrics, plain or after the best similarity."""
-    camera = truth.camera
-    error = distances(
-        lens, camera, truth.points, camera.width, camera.height, aligned=similarity is not None
-    )
+    """What is measured on rectified pictures and line maps, plain or after a similarity."""
     picture = rectify_picture(truth.photo, lens, similarity=similarity)
     scores: dict[str, float | list[int] | int] = {
-        "rpe": float(error.mean()),
         "psnr": psnr(picture, truth.straight),
         "ssim": ssim(picture, truth.straight),
     }

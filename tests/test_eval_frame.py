@@ -14,7 +14,7 @@ from eval.frame import (
     to_frame_size,
 )
 from eval.images import PSNR_CAP, psnr, ssim
-from eval.metrics import compared_pixels
+from eval.metrics import compared_pixels, rectified
 
 
 def noise(seed: int = 0, size: int = 320) -> np.ndarray:
@@ -38,7 +38,8 @@ def test_a_similarity_shifts_the_picture():
 def test_the_aligned_picture_of_a_wrong_focal_length_is_the_true_picture():
     truth, estimate = Pinhole.centred(160.0, 320, 320), Pinhole.centred(200.0, 320, 320)
     points = compared_pixels(truth, 320, 320)
-    similarity = best_similarity(estimate, truth, points, 320, 320)
+    places = [rectified(lens, points, 320, 320) for lens in (estimate, truth)]
+    similarity = best_similarity(*places)
     for found, expected in zip(
         source_maps(estimate, 320, 320, similarity=similarity),
         source_maps(truth, 320, 320),
