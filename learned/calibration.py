@@ -78,7 +78,7 @@ class CalibrationOutput:
     glob: Float[Tensor, "b 9"]
     local: Float[Tensor, "b 5 5"] | None
     cholesky: Float[Tensor, "b 8 8"] | None
-    stages: tuple[Float[Tensor, "b c hs ws"], ...]
+    stages: tuple[Float[Tensor, "b _ _ _"], ...]
 
 
 class Backbone(nn.Module):
@@ -141,7 +141,13 @@ class _Branch(nn.Module):
 
 
 class Calibration(nn.Module):
-    """Backbone, global branch, local branch, fusion and, ours, a covariance."""
+    """Backbone, global branch, local branch, fusion and, ours, a covariance.
+
+    `temperature` widens every predicted standard deviation; it is set after training so that
+    intervals hold on pictures of the training set that the network has not seen in that form.
+    """
+
+    temperature: Tensor
 
     def __init__(
         self, cfg: CalibrationCfg, parameters: Parameters, *, feature_channels: int
@@ -158,6 +164,7 @@ class Calibration(nn.Module):
         self.local = _Branch(channels, cfg.hidden, _N_K) if cfg.multiscale else None
         entries = N_FREE * (N_FREE + 1) // 2
         self.spread = _Branch(cfg.branch, cfg.hidden, entries) if cfg.covariance else None
+        self.register_buffer("temperature", torch.ones(()))
 
     def forward(
         self,
@@ -179,7 +186,8 @@ class Calibration(nn.Module):
             fused = torch.cat([mean, glob[:, _N_K:]], 1)
         cholesky = None
         if self.spread is not None:
-            cholesky = cholesky_factor(self.spread(wide.detach()).float())
+            entries = self.spread(wide.detach()).float()
+            cholesky = cholesky_factor(entries) / self.temperature
         return CalibrationOutput(fused, glob, local, cholesky, stages)
 
     def _inputs(self, image: Tensor, heatmap: Tensor | None) -> Tensor:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from learned.calibration import CalibrationCfg
 from learned.dlp import DlpCfg
@@ -38,6 +38,14 @@ class Preset:
     rong: RongCfg = field(default_factory=RongCfg)
     whiten: bool = False
     geo_stride: int = 1
+
+    def with_schedule(self, *, rate: float | None = None, fall: float | None = None) -> Preset:
+        """The preset with another learning rate or another share of its fall, in both phases."""
+        changes = {"rate": rate, "fall": fall}
+        given = {name: value for name, value in changes.items() if value is not None}
+        return replace(
+            self, optim_dlp=replace(self.optim_dlp, **given), optim=replace(self.optim, **given)
+        )
 
 
 PAPER = Preset(name="paper")

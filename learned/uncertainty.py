@@ -43,7 +43,7 @@ class AttentiveUncertainty(nn.Module):
 
     def forward(
         self,
-        features: tuple[Float[Tensor, "b c hs ws"], ...],
+        features: tuple[Float[Tensor, "b _ _ _"], ...],
         image: Float[Tensor, "b 3 h w"],
         rectified: Float[Tensor, "b 3 h w"],
     ) -> Float[Tensor, "b 1 h w"]:

@@ -1,0 +1,199 @@
+"""Trainings from start to weights: which network, which data, which phase."""
+
+from __future__ import annotations
+
+import subprocess
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+import torch
+from torch import nn
+
+from learned.dlp import LinePerception
+from learned.echo import Echoed
+from learned.larecnet import LaRecNet
+from learned.phases import DivisionPhase, PerceptionPhase, RectificationPhase
+from learned.presets import SIZE, Preset
+from learned.rong import RongNet
+from learned.schedule import OptimCfg
+from learned.slf.atlas import load_atlas
+from learned.slf.batch import SlfBatch
+from learned.slf.priors import lens_prior
+from learned.slf.stream import SlfStream, StreamCfg
+from learned.train import Phase, RunCfg, averaged, train
+from learned.weights import load_weights, save_weights
+
+Target = Literal["dlp", "larecnet", "rong"]
+WEIGHTS = "weights.safetensors"
+_VALIDATION_SEED = 20_001
+_PRIOR_SAMPLES = 8000
+
+
+@dataclass(frozen=True)
+class JobCfg:
+    """A training.
+
+    Attributes:
+        target: What is trained.
+        preset: Its sizes, losses and optimisers.
+        pack: Training pictures, made by `straightlens synthesize`.
+        validation: Pictures of the reports, or None for no reports.
+        folder: Run folder.
+        steps: Optimiser steps.
+        seed: Seed of weights and data.
+        batch_size: Samples a step.
+        size: Side of the square frame in pixels.
+        echoes: Times that each synthesised batch is used, mirrored.
+        data: Mixture of scenes and lenses.
+        init: Weights to start from: of the same network, or of line perception for LaRecNet.
+        validation_batches: Batches of eight in a report.
+        run: Intervals, workers, precision; its `steps` and `optim` are overruled.
+    """
+
+    target: Target
+    preset: Preset
+    pack: Path
+    validation: Path | None
+    folder: Path
+    steps: int
+    seed: int = 1
+    batch_size: int = 8
+    size: int = SIZE
+    echoes: int = 1
+    data: StreamCfg = field(default_factory=StreamCfg)
+    init: Path | None = None
+    validation_batches: int = 4
+    run: RunCfg = field(default_factory=lambda: RunCfg(steps=1))
+
+
+def run_job(job: JobCfg, *, resume: bool, cpu: bool = False, progress: bool = True) -> Path:
+    """Train and write the averaged weights with their card.
+
+    Args:
+        job: What to train.
+        resume: Go on from the folder's checkpoint.
+        cpu: Stay on the CPU.
+        progress: Draw a progress bar.
+
+    Returns:
+        Path of the weights.
+    """
+    torch.manual_seed(job.seed)
+    device = "cpu" if cpu or not torch.cuda.is_available() else "cuda"
+    stream_cfg = replace(job.data, with_rectified=_needs_rectified(job))
+    stream = SlfStream(
+        load_atlas(job.pack).to(device), job.seed, job.batch_size, job.size, stream_cfg
+    )
+    validation = _validation(job, stream_cfg, device)
+    network, phase, optim = _network(job)
+    average = train(
+        network,
+        phase,
+        Echoed(stream.batch, job.echoes),
+        validation,
+        replace(job.run, steps=job.steps, optim=optim),
+        folder=job.folder,
+        resume=resume,
+        cpu=cpu,
+        progress=progress,
+    )
+    best = averaged(network, average)
+    assert isinstance(best, (LaRecNet, LinePerception, RongNet))
+    scores = phase.report(best, validation)[0] if validation else {}
+    path = job.folder / WEIGHTS
+    save_weights(path, best, training_card(job, scores))
+    return path
+
+
+def _network(job: JobCfg) -> tuple[nn.Module, Phase, OptimCfg]:
+    """The network to train, initialised, with its phase and optimiser."""
+    preset = job.preset
+    if job.target == "dlp":
+        perception = LinePerception(preset.network.dlp)
+        if job.init is not None:
+            perception.load_state_dict(_perception(job.init).state_dict())
+        return perception, PerceptionPhase(preset.network.dlp), preset.optim_dlp
+    if job.target == "rong":
+        rong = RongNet(preset.rong)
+        if job.init is not None:
+            rong.load_state_dict(load_weights(job.init, RongNet).network.state_dict())
+        return rong, DivisionPhase(), preset.optim
+    network = LaRecNet(preset.network)
+    if preset.whiten:
+        network.parameters_of_lens.whiten(prior_samples())
+    if job.init is not None:
+        _initialise(network, job.init)
+    return network, RectificationPhase(preset), preset.optim
+
+
+def _initialise(network: LaRecNet, path: Path) -> None:
+    """Start LaRecNet from its own weights or from those of line perception."""
+    try:
+        network.load_state_dict(load_weights(path, LaRecNet).network.state_dict())
+    except ValueError:
+        network.dlp.load_state_dict(load_weights(path, LinePerception).network.state_dict())
+
+
+def _perception(path: Path) -> LinePerception:
+    """Line perception out of its own weights or out of LaRecNet's."""
+    try:
+        return load_weights(path, LinePerception).network
+    except ValueError:
+        return load_weights(path, LaRecNet).network.dlp
+
+
+def prior_samples() -> torch.Tensor:
+    """Lenses of both priors, half each, the same every time; shape (8000, 9)."""
+    rng = np.random.default_rng(0)
+    drawn = [lens_prior(n).sample(rng, _PRIOR_SAMPLES // 2).vector for n in ("paper", "wild")]
+    return torch.from_numpy(np.concatenate(drawn)).float()
+
+
+def _needs_rectified(job: JobCfg) -> bool:
+    return job.target == "larecnet"
+
+
+def _validation(job: JobCfg, data: StreamCfg, device: str) -> Sequence[SlfBatch]:
+    if job.validation is None:
+        return []
+    stream = SlfStream(load_atlas(job.validation).to(device), _VALIDATION_SEED, 8, SIZE, data)
+    return [stream.batch(i) for i in range(job.validation_batches)]
+
+
+def training_card(job: JobCfg, scores: dict[str, float]) -> dict[str, Any]:
+    """What is known of a training."""
+    return {
+        "target": job.target,
+        "preset": job.preset.name,
+        "data": f"synthesised on the fly from {job.pack.name}",
+        "scenes": str(job.data.scenes),
+        "wild share": job.data.wild_share,
+        "seed": job.seed,
+        "steps": job.steps,
+        "batch": job.batch_size,
+        "echoes": job.echoes,
+        "size": job.size,
+        "init": str(job.init.name) if job.init else "none",
+        "commit": _commit(),
+        "date": datetime.now(UTC).strftime("%Y-%m-%d"),
+        "scores": scores,
+    }
+
+
+def _commit() -> str:
+    """The checkout's commit, or "unknown" outside of one."""
+    try:
+        done = subprocess.run(
+            ["git", "rev-parse", "--short", "HEAD"],
+            cwd=Path(__file__).parent,
+            capture_output=True,
+            text=True,
+            check=True,
+        )
+    except (OSError, subprocess.CalledProcessError):
+        return "unknown"
+    return done.stdout.strip()

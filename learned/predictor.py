@@ -1,0 +1,196 @@
+"""NumPy in, NumPy out: the only door between the networks and the rest of the project."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from numpy import ndarray
+from torch import Tensor
+
+from classical.camera import Division, KannalaBrandt
+from learned.larecnet import LaRecNet
+from learned.letterbox import Letterbox, as_tensor, resized
+from learned.rong import RongNet
+from learned.weights import load_weights, packaged
+
+FRAME = 320
+_TILE = 512
+_OVERLAP = 64
+
+
+@dataclass(frozen=True)
+class LinePrediction:
+    """What line perception says of a picture.
+
+    Attributes:
+        heatmap: Eq. line-map: min(length, 255) / 255 of the bent line, in pixels of this map.
+        lineness: How sure of a line, whatever its length; the better source for curves.
+    """
+
+    heatmap: Float[ndarray, "h w"]
+    lineness: Float[ndarray, "h w"]
+
+
+@dataclass(frozen=True)
+class LensPrediction:
+    """What LaRecNet says of a picture.
+
+    Attributes:
+        camera: The picture's camera, gauge m_u = width / 2, or None where the estimate is no
+            camera (k1 not positive).
+        covariance: Of `camera.to_vector()`; the row of m_u is zero. None where the weights have no
+            covariance head.
+        lines: The heatmap at the network's size, or None where the weights do not use one.
+    """
+
+    camera: KannalaBrandt | None
+    covariance: Float[ndarray, "9 9"] | None
+    lines: LinePrediction | None
+
+
+class Predictor:
+    """A loaded LaRecNet for many pictures.
+
+    Args:
+        network: The network.
+        card: Its model card.
+        device: Where it runs.
+    """
+
+    def __init__(
+        self, network: LaRecNet, card: dict[str, Any] | None = None, *, device: str = "cpu"
+    ) -> None:
+        self.network = network.eval().to(device)
+        self.network.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
+        self.card = card or {}
+        self.device = device
+
+    @classmethod
+    def from_weights(cls, path: str | Path | None = None, *, device: str = "cpu") -> Predictor:
+        """Load weights, by default those that ship; see `learned.weights.load_weights`."""
+        loaded = load_weights(packaged("compact") if path is None else Path(path), LaRecNet)
+        return cls(loaded.network, loaded.card, device=device)
+
+    @torch.inference_mode()
+    def lens(self, image: ndarray) -> LensPrediction:
+        """Estimate the lens of a picture of any size.
+
+        Args:
+            image: Grey, RGB or RGBA, (h, w) or (h, w, c); integers or floats in [0, 1].
+
+        Returns:
+            Camera and covariance for the picture as it came.
+        """
+        tensor = as_tensor(image).to(self.device)
+        box = Letterbox(tensor.shape[3], tensor.shape[2], FRAME)
+        out = self.network(_fast(box.fill(tensor)))
+        k = out.k[0].double().cpu().numpy()
+        camera = box.camera(k) if np.isfinite(k).all() and k[0] > 0 and k[6] > 0 else None
+        covariance = None
+        if out.estimate.cholesky is not None:
+            spread = self.network.parameters_of_lens.covariance(out.estimate.cholesky)
+            covariance = box.covariance(spread[0].cpu().numpy())
+        lines = None
+        if out.heatmap is not None and out.lineness is not None:
+            maps = (box.content(m[0, 0].cpu().numpy()) for m in (out.heatmap, out.lineness))
+            lines = LinePrediction(*maps)
+        return LensPrediction(camera, covariance, lines)
+
+    @torch.inference_mode()
+    def lines(self, image: ndarray, *, longest: int = 640) -> LinePrediction:
+        """Find bent lines at a chosen resolution.
+
+        Args:
+            image: As for `lens`.
+            longest: The picture is shrunk until no side is longer; it is never enlarged.
+
+        Returns:
+            Maps of the whole view, at the size that was looked at.
+        """
+        tensor = as_tensor(image).to(self.device)
+        height, width = tensor.shape[-2:]
+        scale = min(1.0, longest / max(height, width))
+        small = resized(tensor, max(1, round(height * scale)), max(1, round(width * scale)))
+        return self._perceive(small)
+
+    def _perceive(self, image: Tensor) -> LinePrediction:
+        """Line perception in overlapping tiles, blended; one tile where the picture is small."""
+        height, width = image.shape[-2:]
+        dlp = self.network.dlp
+        sums = image.new_zeros(2, height, width)
+        weight = image.new_zeros(height, width)
+        for top, bottom in _spans(height):
+            for left, right in _spans(width):
+                tile = _padded(image[..., top:bottom, left:right], dlp.cfg.multiple)
+                raw = dlp(_fast(tile)).raw
+                maps = torch.cat([dlp.heatmap(raw), dlp.lineness(raw)], 1)[0]
+                share = _window(bottom - top, right - left).to(maps)
+                sums[:, top:bottom, left:right] += share * maps[:, : bottom - top, : right - left]
+                weight[top:bottom, left:right] += share
+        heatmap, lineness = (sums / weight).cpu().numpy()
+        return LinePrediction(heatmap, lineness)
+
+
+class RongPredictor:
+    """The baseline of Rong et al. for many pictures; see `Predictor`."""
+
+    def __init__(self, network: RongNet, card: dict[str, Any] | None = None) -> None:
+        self.network = network.eval()
+        self.card = card or {}
+
+    @classmethod
+    def from_weights(cls, path: str | Path | None = None) -> RongPredictor:
+        """Load weights, by default those that ship."""
+        loaded = load_weights(packaged("rong-compact") if path is None else Path(path), RongNet)
+        return cls(loaded.network, loaded.card)
+
+    @torch.inference_mode()
+    def lens(self, image: ndarray) -> Division:
+        """The division model of a picture of any size, centred on it.
+
+        Args:
+            image: As for `Predictor.lens`.
+        """
+        tensor = as_tensor(image)
+        height, width = tensor.shape[-2:]
+        box = Letterbox(width, height, FRAME)
+        lambda_ = float(self.network.estimate(self.network(box.fill(tensor)))[0])
+        half = max(width, height) / 2
+        return Division(lambda_ / half**2, (width - 1) / 2, (height - 1) / 2, width, height)
+
+
+def _fast(image: Tensor) -> Tensor:
+    return image.contiguous(memory_format=torch.channels_last)
+
+
+def _spans(length: int) -> list[tuple[int, int]]:
+    """Evenly spread tiles over a length, overlapping by at least `_OVERLAP`."""
+    if length <= _TILE + _OVERLAP:
+        return [(0, length)]
+    count = math.ceil((length - _OVERLAP) / (_TILE - _OVERLAP))
+    starts = np.linspace(0, length - _TILE, count).round().astype(int)
+    return [(int(start), int(start) + _TILE) for start in starts]
+
+
+def _padded(image: Tensor, multiple: int) -> Tensor:
+    """Black to the right and below until the sides divide by `multiple`."""
+    height, width = image.shape[-2:]
+    pads = (0, -width % multiple, 0, -height % multiple)
+    return torch.nn.functional.pad(image, pads)
+
+
+def _window(height: int, width: int) -> Tensor:
+    """Weights that fall towards a tile's edges and stay positive."""
+
+    def ramp(length: int) -> Tensor:
+        at = torch.arange(length, dtype=torch.float32)
+        edge = torch.minimum(at, length - 1 - at) + 1.0
+        return (edge / _OVERLAP).clamp(max=1.0)
+
+    return ramp(height)[:, None] * ramp(width)[None, :]

@@ -1,0 +1,101 @@
+import math
+
+import pytest
+import torch
+
+from learned.losses import (
+    LossCfg,
+    gaussian_nll,
+    geometric_loss,
+    line_loss,
+    lineness_loss,
+    local_loss,
+    parameter_loss,
+    pixel_loss,
+    ridge_target,
+)
+
+
+def test_line_loss_weights_each_side_by_the_other_sides_share() -> None:
+    target = torch.tensor([[[[0.5, 0.0], [0.0, 0.0]]]])
+    predicted = torch.tensor([[[[0.1, 0.2], [0.0, 0.3]]]])
+    # 3/4 of (0.4 squared) + 1/4 of (0.2 squared + 0.3 squared)
+    expected = 0.75 * 0.16 + 0.25 * 0.13
+    got = line_loss(predicted, target, reduce=False)
+    assert got.item() == pytest.approx(expected)
+    assert line_loss(predicted, target).item() == pytest.approx(expected / 4)
+
+
+def test_global_loss_is_the_weighted_square_over_nine() -> None:
+    omega = torch.tensor(LossCfg().omega)
+    error = torch.tensor([[1.0, 0, 0, 2.0, 0, 0, 0, 0, 3.0]])
+    expected = ((0.1 * 1) ** 2 + (1 * 2) ** 2 + (0.1 * 3) ** 2) / 9
+    assert parameter_loss(error, torch.zeros(1, 9), omega).item() == pytest.approx(expected)
+
+
+def test_local_loss_is_summed_over_five_regions_and_divided_by_25() -> None:
+    omega = torch.tensor(LossCfg().omega)[:5]
+    predicted = torch.zeros(1, 5, 5)
+    predicted[0, 2, 2] = 2.0
+    predicted[0, 4, 4] = 1.0
+    expected = ((0.5 * 2) ** 2 + 1.0) / 25
+    assert local_loss(predicted, torch.zeros(1, 5), omega).item() == pytest.approx(expected)
+
+
+def test_huber_starts_as_the_square_and_goes_on_as_a_line() -> None:
+    omega = torch.ones(1)
+
+    def loss(error: float) -> float:
+        return parameter_loss(torch.tensor([[error]]), torch.zeros(1, 1), omega, huber=1.0).item()
+
+    assert loss(0.5) == pytest.approx(0.25)
+    assert loss(4.0) - loss(3.0) == pytest.approx(2.0)
+
+
+def test_geometric_loss_counts_line_pixels_twice() -> None:
+    predicted = torch.tensor([[[0.1, 0.0], [0.0, -0.2], [5.0, 5.0]]])
+    on_line = torch.tensor([[True, False, True]])
+    valid = torch.tensor([[True, True, False]])
+    got = geometric_loss(predicted, torch.zeros(1, 3, 2), on_line, valid, line_weight=2.0)
+    assert got.item() == pytest.approx((2 * 0.1 + 0.2) / 2)
+
+
+def test_pixel_loss_divides_by_the_uncertainty_and_adds_its_logarithm() -> None:
+    rectified = torch.full((1, 3, 1, 2), 0.4)
+    target = torch.zeros(1, 3, 1, 2)
+    uncertainty = torch.tensor([[[[0.5, 2.0]]]])
+    expected = (0.4 / 0.5 + math.log(0.5) + 0.4 / 2 + math.log(2.0)) / 2
+    assert pixel_loss(rectified, target, uncertainty).item() == pytest.approx(expected)
+    assert pixel_loss(rectified, target, None).item() == pytest.approx(0.4)
+
+
+def test_likelihood_is_lowest_at_the_true_spread() -> None:
+    torch.manual_seed(0)
+    error = 0.3 * torch.randn(4000, 1)
+    losses = [gaussian_nll(error, torch.full((4000, 1, 1), 1 / s)).item() for s in (0.15, 0.3, 0.6)]
+    assert losses[1] == min(losses)
+
+
+def test_ridge_target_is_highest_on_the_line() -> None:
+    band = torch.zeros(1, 1, 9, 9)
+    band[..., 3:6] = 0.3  # three pixels wide, any length
+    ridge = ridge_target(band)[0, 0, 4]
+    torch.testing.assert_close(ridge[2:7], torch.tensor([0.25, 0.75, 1.0, 0.75, 0.25]))
+
+
+def test_lineness_loss_prefers_the_truth() -> None:
+    line_map = torch.zeros(1, 1, 16, 16)
+    line_map[..., 6:9] = 0.4
+    true = torch.cat([torch.logit(ridge_target(line_map), eps=1e-3), line_map], 1)
+    wrong = torch.cat([-true[:, :1], line_map], 1)
+    short = torch.cat([true[:, :1], 0.5 * line_map], 1)
+    good = lineness_loss(true, line_map)
+    assert good < lineness_loss(wrong, line_map)
+    assert good < lineness_loss(short, line_map)
+
+
+def test_constants_are_the_papers() -> None:
+    cfg = LossCfg()
+    assert (cfg.para, cfg.geo, cfg.pix) == (1.0, 100.0, 1.0)
+    assert (cfg.fused, cfg.glob, cfg.local, cfg.line_weight) == (2.0, 1.0, 1.0, 2.0)
+    assert cfg.omega == (0.1, 0.1, 0.5, 1.0, 1.0, 0.1, 0.1, 0.1, 0.1)
