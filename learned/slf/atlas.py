@@ -8,6 +8,7 @@ rendered without a loop over walls. The file is safetensors and is mapped, not r
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
 import torch
 from jaxtyping import Float, Int
 from torch import Tensor
@@ -140,6 +141,21 @@ def _blend(
     out[1] = odd
     out[2] = even.bitwise_right_shift_(16).bitwise_and_(0xFFFF)
     return out.mul_(1.0 / 256.0)
+
+
+def merged_atlas(parts: list[Atlas]) -> Atlas:
+    """Several packs as one, pictures in the order given."""
+    texels = np.cumsum([0] + [len(part.texels) for part in parts])
+    lines = np.cumsum([0] + [len(part.segments) for part in parts])
+    first = [part.first[:-1] + int(n) for part, n in zip(parts, lines[:-1], strict=True)]
+    return Atlas(
+        texels=torch.cat([part.texels for part in parts]),
+        base=torch.cat([part.base + int(n) for part, n in zip(parts, texels[:-1], strict=True)]),
+        extent=torch.cat([part.extent for part in parts]),
+        segments=torch.cat([part.segments for part in parts]),
+        first=torch.cat([*first, torch.tensor(lines[-1:])]),
+        kind=torch.cat([part.kind for part in parts]),
+    )
 
 
 def save_atlas(atlas: Atlas, path: Path) -> None:

@@ -207,6 +207,7 @@ def joined_strokes(parts: list[tuple[Strokes, Tensor]]) -> Strokes:
     return Strokes(
         points=torch.cat([s.points for s, _ in parts]),
         tangent=torch.cat([s.tangent for s, _ in parts]),
+        share=torch.cat([s.share for s, _ in parts]),
         run=torch.cat(runs),
         length=torch.cat([s.length for s, _ in parts]),
         row=torch.cat([rows[s.row] for s, rows in parts]),

@@ -50,6 +50,7 @@ class Strokes:
     Attributes:
         points: Pixels (u, v), at most one apart.
         tangent: Unit directions of the curves at the points.
+        share: Place of each point on its piece, 0 at its start and 1 at its end.
         run: Number of the run of each point, rising from 0.
         length: Bent length of each run in pixels, shape (runs,).
         row: Sample of each run, shape (runs,).
@@ -58,6 +59,7 @@ class Strokes:
 
     points: Float[Tensor, "n 2"]
     tangent: Float[Tensor, "n 2"]
+    share: Float[Tensor, " n"]
     run: Int[Tensor, " n"]
     length: Float[Tensor, " runs"]
     row: Int[Tensor, " runs"]
@@ -106,7 +108,9 @@ def bent_strokes(
     tangent[1:] += tangent[:-1] * (~continues[1:])[:, None]
     segment = which.index_select(0, first)
     rows = segments.row.index_select(0, segment)
-    return _kept(points, tangent, run, length, rows, original[segment], shortest_px)
+    share = share.index_select(0, index)
+    runs = Strokes(points, tangent, share, run, length, rows, original[segment])
+    return _without_short(runs, shortest_px)
 
 
 def draw_line_map(strokes: Strokes, *, batch: int, size: int) -> Float[Tensor, "b 1 h w"]:
@@ -212,24 +216,14 @@ def _even_angles(segments: Segments3D) -> Tensor:
     return weight_b / (weight_a + weight_b)
 
 
-def _kept(
-    points: Tensor,
-    tangent: Tensor,
-    run: Tensor,
-    length: Tensor,
-    row: Tensor,
-    segment: Tensor,
-    shortest: float,
-) -> Strokes:
+def _without_short(strokes: Strokes, shortest: float) -> Strokes:
     """Drop short runs and number the others anew."""
-    keep = length >= shortest
+    keep = strokes.length >= shortest
     number = torch.cumsum(keep, 0) - 1
-    stays = torch.nonzero(keep.index_select(0, run))[:, 0]
-    return Strokes(
-        points.index_select(0, stays),
-        tangent.index_select(0, stays),
-        number.index_select(0, run.index_select(0, stays)),
-        length[keep],
-        row[keep],
-        segment[keep],
+    stays = torch.nonzero(keep.index_select(0, strokes.run))[:, 0]
+    points, tangent, share, run = (
+        x.index_select(0, stays)
+        for x in (strokes.points, strokes.tangent, strokes.share, strokes.run)
     )
+    ends = (strokes.length[keep], strokes.row[keep], strokes.segment[keep])
+    return Strokes(points, tangent, share, number.index_select(0, run), *ends)

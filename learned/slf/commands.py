@@ -1,0 +1,175 @@
+"""The commands `straightlens synthesize …`. Torch is imported when something is made."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+if TYPE_CHECKING:
+    from learned.slf.suite import SuiteFolder
+    from learned.slf.synthesis import Made, SetCfg
+
+_EXISTING_FOLDER = click.Path(exists=True, file_okay=False, path_type=Path)
+
+
+def _set_options(*, size: int, prior: str) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
+    """Options that every set has."""
+    options = [
+        click.option("--out", required=True, type=click.Path(path_type=Path), help="Folder."),
+        click.option("--count", required=True, type=click.IntRange(1), help="Pictures in the set."),
+        click.option("--seed", default=1, show_default=True, help="Same seed, same bytes."),
+        click.option(
+            "--size",
+            default=size,
+            show_default=True,
+            type=click.IntRange(32, 4096),
+            help="Width and height of the pictures in pixels.",
+        ),
+        click.option(
+            "--prior", default=prior, show_default=True, type=click.Choice(["paper", "wild"])
+        ),
+        click.option(
+            "--photometry/--clean", default=False, help="Noise, blur, compression and the like."
+        ),
+    ]
+
+    def add(command: Callable[..., Any]) -> Callable[..., Any]:
+        for option in reversed(options):
+            command = option(command)
+        return command
+
+    return add
+
+
+@click.group()
+def synthesize() -> None:
+    """Make fisheye pictures with known lenses and lines, for training and for tests.
+
+    A set is made again from its seed, byte for byte; a run that was stopped goes on where it was.
+    """
+
+
+@synthesize.command()
+@click.option("--photos", required=True, type=_EXISTING_FOLDER, help="Undistorted photographs.")
+@_set_options(size=320, prior="paper")
+def dwireframe(photos: Path, **options: Any) -> None:
+    """Bend perspective photographs and their straight lines (the paper's D-Wireframe)."""
+    from learned.slf.pack import picture_paths
+    from learned.slf.synthesis import make_dwireframe
+
+    paths = _checked(picture_paths, photos)
+    _make("dwireframe", paths, photos, lambda i, c: make_dwireframe(paths, i, c), options)
+
+
+@synthesize.command()
+@click.option("--panoramas", "folder", required=True, type=_EXISTING_FOLDER, help="2:1 pictures.")
+@_set_options(size=640, prior="wild")
+def panoramas(folder: Path, **options: Any) -> None:
+    """Cut equirectangular panoramas with any lens and pose; fields of view are true."""
+    from learned.slf.pack import picture_paths
+    from learned.slf.synthesis import make_panorama_cut
+
+    paths = _checked(picture_paths, folder)
+    _make("panoramas", paths, folder, lambda i, c: make_panorama_cut(paths, i, c), options)
+
+
+@synthesize.command()
+@click.option("--photos", type=_EXISTING_FOLDER, help="Undistorted photographs.")
+@click.option("--panoramas", "folder", type=_EXISTING_FOLDER, help="Equirectangular panoramas.")
+@click.option(
+    "--patterns", default=400, show_default=True, type=click.IntRange(0), help="Drawn textures."
+)
+@click.option("--out", required=True, type=click.Path(path_type=Path), help="File to write.")
+@click.option("--seed", default=1, show_default=True, help="Of the drawn textures.")
+@click.option("--workers", default=2, show_default=True, type=click.IntRange(1))
+def pack(
+    photos: Path | None, folder: Path | None, patterns: int, out: Path, seed: int, workers: int
+) -> None:
+    """Pack photographs and panoramas with their lines, for training on the fly."""
+    from tqdm import tqdm
+
+    from learned.slf.atlas import save_atlas
+    from learned.slf.pack import annotated_photographs, build_atlas, picture_paths
+    from learned.slf.panorama_lines import annotated_panorama
+    from learned.slf.patterns import draw_patterns
+
+    if photos is None and folder is None and patterns == 0:
+        raise click.UsageError("expected --photos, --panoramas or --patterns, got none")
+    flat = _checked(picture_paths, photos) if photos else []
+    round_ = _checked(picture_paths, folder) if folder else []
+    with tqdm(total=len(flat) + len(round_), unit="picture") as bar:
+
+        def pictures() -> Any:
+            yield from annotated_photographs(flat, workers=workers, progress=bar.update)
+            for path in round_:
+                yield annotated_panorama(path)
+                bar.update()
+            yield from draw_patterns(patterns, seed=seed)
+
+        save_atlas(_checked(build_atlas, pictures()), out)
+
+
+def _make(
+    kind: str,
+    sources: list[Path],
+    root: Path,
+    make: Callable[[int, SetCfg], Made],
+    options: dict[str, Any],
+) -> None:
+    """Begin or go on with a set, then write its card."""
+    from learned.slf.photometry import PhotometryCfg
+    from learned.slf.synthesis import SetCfg
+
+    config = SetCfg(
+        prior=options["prior"],
+        size=options["size"],
+        seed=options["seed"],
+        photometry=PhotometryCfg() if options["photometry"] else None,
+    )
+    names = "\n".join(path.relative_to(root).as_posix() for path in sources)
+    settings = {
+        **{name: options[name] for name in ("seed", "count", "size", "prior", "photometry")},
+        "sources": len(sources),
+        "sources_sha256": hashlib.sha256(names.encode()).hexdigest()[:16],
+    }
+    folder = begun(options["out"], kind, settings)
+    finish(folder, lambda index: make(index, config), options["count"])
+
+
+def begun(out: Path, kind: str, settings: dict[str, Any]) -> SuiteFolder:
+    """A suite folder with its header; a folder with other settings is misuse."""
+    from learned.slf.suite import SuiteFolder
+
+    folder = SuiteFolder(out)
+    notes = {
+        "dwireframe": "Photographs as planes in front of the lens; the field of view is nominal.",
+        "panoramas": "Cuts of panoramas; camera and field of view are true.",
+        "rooms": "Rendered rooms; camera, field of view and perspective twin are true.",
+    }
+    header = {"kind": kind, "name": out.name, "note": notes[kind], "settings": settings}
+    _checked(folder.begin, header)
+    return folder
+
+
+def finish(folder: SuiteFolder, make: Callable[[int], Made], count: int) -> None:
+    """Make what is missing, with progress, and write the card."""
+    from tqdm import tqdm
+
+    from learned.slf.card import write_card
+    from learned.slf.synthesis import synthesize as make_missing
+
+    with tqdm(total=count, unit="picture") as bar:
+        make_missing(folder, make, count, progress=bar.update)
+    write_card(folder)
+
+
+def _checked(function: Callable[..., Any], *arguments: Any) -> Any:
+    """Call, and turn a ValueError into misuse of the command line."""
+    try:
+        return function(*arguments)
+    except ValueError as error:
+        raise click.UsageError(str(error)) from error

@@ -1,0 +1,219 @@
+"""Sets on disk from photographs and panoramas: repeatable from a seed, resumable item by item."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+import torch
+from jaxtyping import Float, UInt8
+from numpy import ndarray
+from torch import Tensor
+
+from classical.camera import KannalaBrandt
+from learned.slf.atlas import Atlas
+from learned.slf.layouts import PoseCfg, draw_rotations
+from learned.slf.lenses import LensBatch
+from learned.slf.optics import Optics, optics, pixel_rays
+from learned.slf.pack import annotated_photograph, build_atlas
+from learned.slf.panorama_lines import annotated_panorama
+from learned.slf.panoramas import Views, render_views, view_segments
+from learned.slf.photometry import PhotometryCfg, photographed
+from learned.slf.planes import draw_planes, plane_segments, render_planes
+from learned.slf.priors import lens_prior
+from learned.slf.rectify import rectified
+from learned.slf.strokes import Segments3D, Strokes, bent_strokes
+from learned.slf.suite import SuiteCurve, SuiteFolder, SuiteItem
+
+_DWIREFRAME, _PANORAMAS = 11, 12
+_LONGEST_PHOTOGRAPH = 1280
+_POINT_SPACING = 3
+_FEWEST_CURVES = 6
+_SHORTEST_SHARE = 0.05
+_POSE_TRIES = 8
+
+
+@dataclass(frozen=True)
+class SetCfg:
+    """What a set is made of.
+
+    Attributes:
+        prior: Name of the lens prior.
+        size: Width and height of the pictures.
+        seed: Seed of the whole set.
+        oversampling: Rays per pixel and axis.
+        photometry: What a camera does to the pictures, or None for clean ones.
+        pose: Camera poses in panoramas.
+    """
+
+    prior: str
+    size: int
+    seed: int
+    oversampling: int = 3
+    photometry: PhotometryCfg | None = None
+    pose: PoseCfg = field(default_factory=lambda: PoseCfg(level_share=0.85))
+
+
+@dataclass(frozen=True)
+class Made:
+    """An item with its pictures."""
+
+    item: SuiteItem
+    picture: UInt8[ndarray, "h w 3"]
+    straight: UInt8[ndarray, "h2 w2 3"]
+
+
+def make_dwireframe(photographs: Sequence[Path], index: int, config: SetCfg) -> Made:
+    """One photograph bent by one lens; photographs come round in shuffled order.
+
+    Args:
+        photographs: Files, in a fixed order.
+        index: Number of the item.
+        config: Lenses, size and seed.
+    """
+    order = np.random.default_rng([config.seed, _DWIREFRAME]).permutation(len(photographs))
+    path = photographs[order[index % len(photographs)]]
+    rng = np.random.default_rng([config.seed, _DWIREFRAME, index])
+    lenses = lens_prior(config.prior).sample(rng, 1)
+    lens = optics(lenses, size=config.size)
+    atlas = _photograph_atlas(path)
+    planes = draw_planes(rng, atlas, atlas.of_kind(0), 1, upright=True)
+    rays, valid = pixel_rays(lens, oversampling=config.oversampling)
+    picture = render_planes(atlas, planes, rays)
+    segments = plane_segments(atlas, planes)
+    return _made(index, lenses, lens, (picture, valid), segments, path.stem, rng, config)
+
+
+def make_panorama_cut(panoramas: Sequence[Path], index: int, config: SetCfg) -> Made:
+    """One cut of a panorama; poses that show hardly any line are drawn again a few times.
+
+    Args:
+        panoramas: Files, in a fixed order.
+        index: Number of the item.
+        config: Lenses, size, seed and poses.
+    """
+    path = panoramas[index % len(panoramas)]
+    rng = np.random.default_rng([config.seed, _PANORAMAS, index])
+    lenses = lens_prior(config.prior).sample(rng, 1)
+    lens = optics(lenses, size=config.size)
+    atlas = _panorama_atlas(path)
+    rays, valid = pixel_rays(lens, oversampling=config.oversampling)
+    views, segments = _pose_with_lines(rng, atlas, lens, config)
+    picture = render_views(atlas, views, rays)
+    return _made(index, lenses, lens, (picture, valid), segments, path.stem, rng, config)
+
+
+def synthesize(
+    folder: SuiteFolder,
+    make: Callable[[int], Made],
+    count: int,
+    *,
+    progress: Callable[[], object] | None = None,
+) -> None:
+    """Make the items that are not there yet.
+
+    Args:
+        folder: A suite that has begun.
+        make: Makes an item from its number alone.
+        count: Number of items of the whole set.
+        progress: Called once an item, made or found.
+    """
+    there = set(folder.indices())
+    for index in range(count):
+        if index not in there:
+            made = make(index)
+            folder.write(made.item, made.picture, made.straight)
+        if progress is not None:
+            progress()
+
+
+def suite_curves(strokes: Strokes, segments: Segments3D, row: int) -> tuple[SuiteCurve, ...]:
+    """Runs of one sample as curves, longest first, with the ends of what is seen of them."""
+    curves = []
+    for run in torch.nonzero(strokes.row == row)[:, 0].tolist():
+        points = strokes.points[strokes.run == run].double().numpy()
+        keep = np.arange(0, len(points), _POINT_SPACING)
+        if keep[-1] != len(points) - 1:
+            keep = np.append(keep, len(points) - 1)
+        share = strokes.share[strokes.run == run][[0, -1]].double().numpy()
+        segment = int(strokes.segment[run])
+        start, end = (x[segment].double().numpy() for x in (segments.start, segments.end))
+        ends = start + share[:, None] * (end - start)
+        ends /= np.linalg.norm(ends, axis=1, keepdims=True)
+        curves.append(SuiteCurve(points[keep], ends, float(strokes.length[run])))
+    return tuple(sorted(curves, key=lambda curve: -curve.length_px))
+
+
+def true_camera(vector: Float[ndarray, " 9"], size: int) -> KannalaBrandt:
+    """The camera of a vector in half widths, for a square frame of `size` pixels."""
+    half, middle = size / 2, (size - 1) / 2
+    return KannalaBrandt(
+        k=vector[:5],
+        m_u=float(vector[5] * half),
+        m_v=float(vector[6] * half),
+        u0=float(vector[7] * half + middle),
+        v0=float(vector[8] * half + middle),
+        width=size,
+        height=size,
+    )
+
+
+def to_bytes(image: Float[Tensor, "3 h w"]) -> UInt8[ndarray, "h w 3"]:
+    """A picture in [0, 1] as 8-bit RGB."""
+    return (image.clamp(0, 1) * 255).round().byte().permute(1, 2, 0).cpu().numpy()
+
+
+def _made(
+    index: int,
+    lenses: LensBatch,
+    lens: Optics,
+    rendered: tuple[Tensor, Tensor],
+    segments: Segments3D,
+    origin: str,
+    rng: np.random.Generator,
+    config: SetCfg,
+) -> Made:
+    clean = rendered[0] * (rendered[1][:, None] / 255.0)
+    clean = torch.nn.functional.avg_pool2d(clean, config.oversampling)
+    strokes = bent_strokes(lens, segments, shortest_px=_SHORTEST_SHARE * config.size)
+    image = clean
+    if config.photometry is not None:
+        image = photographed(clean, lens, rng=rng, config=config.photometry)
+    item = SuiteItem(
+        index=index,
+        camera=true_camera(lenses.vector[0], config.size),
+        theta_max=float(lenses.theta_max[0]),
+        curves=suite_curves(strokes, segments, 0),
+        origin=origin,
+    )
+    return Made(item, to_bytes(image[0]), to_bytes(rectified(clean, lens)[0]))
+
+
+def _pose_with_lines(
+    rng: np.random.Generator, atlas: Atlas, lens: Optics, config: SetCfg
+) -> tuple[Views, Segments3D]:
+    """The first pose that shows enough lines, or the best of several."""
+    best: tuple[int, Views, Segments3D] | None = None
+    for _ in range(_POSE_TRIES):
+        rotation = torch.as_tensor(draw_rotations(rng, 1, config.pose), dtype=torch.float32)
+        views = Views(torch.zeros(1, dtype=torch.int64), rotation)
+        segments = view_segments(atlas, views)
+        shortest = 2 * _SHORTEST_SHARE * config.size
+        seen = len(bent_strokes(lens, segments, shortest_px=shortest).length)
+        if best is None or seen > best[0]:
+            best = (seen, views, segments)
+        if seen >= _FEWEST_CURVES:
+            break
+    assert best is not None
+    return best[1], best[2]
+
+
+@lru_cache(maxsize=4)
+def _photograph_atlas(path: Path) -> Atlas:
+    return build_atlas([annotated_photograph(path, longest=_LONGEST_PHOTOGRAPH)])
+
+
+@lru_cache(maxsize=32)
+def _panorama_atlas(path: Path) -> Atlas:
+    return build_atlas([annotated_panorama(path)])
