@@ -1,0 +1,199 @@
+"""The report: one static HTML page, the same in Markdown, and the scores as CSV."""
+
+import base64
+import json
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import jinja2
+import numpy as np
+from markupsafe import Markup
+
+from classical.files import atomic_path
+from eval import plots, published
+from eval.export import score_rows, summary_rows, to_csv
+from eval.folder import RunFolder
+from eval.summary import (
+    SuiteScores,
+    camera_columns,
+    load_scores,
+    median,
+    paper_columns,
+    straightness_columns,
+)
+from eval.tables import ablation, make_table, overview, published_table
+
+_TEMPLATES = Path(__file__).parent / "templates"
+
+_PROTOCOLS = (
+    ("Protocol 1, paper: pinhole of f = 160 px, as estimated", paper_columns("paper")),
+    ("Protocol 2, aligned: after the best similarity", paper_columns("aligned")),
+    ("Protocol 3, straightness; and angles, failures, time", straightness_columns()),
+)
+
+KINDS = {
+    "best": "Best",
+    "median": "Median",
+    "worst": "Worst",
+    "camera": "Median of a camera",
+}
+
+
+def write_report(
+    folders: Sequence[RunFolder], target: Path, *, without_pictures: Sequence[str] = ()
+) -> None:
+    """Write `report.html`, `report.md`, `summary.csv` and `scores.csv`, from the scores alone.
+
+    Args:
+        folders: Runs that `evaluate` has finished, in the order of the report.
+        target: Folder for the files; made if missing.
+        without_pictures: Names of suites whose photographs must not be shown.
+
+    Raises:
+        ValueError: If there is no run, or one is not finished.
+    """
+    if not folders:
+        raise ValueError("expected at least one evaluated suite, got none")
+    suites = [load_scores(folder) for folder in folders]
+    page = {
+        "overview": overview(suites),
+        "suites": [
+            _suite_page(suite, folder, show=suite.name not in without_pictures)
+            for suite, folder in zip(suites, folders, strict=True)
+        ],
+        "ablation": ablation(suites),
+        "published": [
+            published_table("SLF test set of the paper (2,163 samples, not public)", published.SLF),
+            published_table("Fisheye video dataset (real lenses)", published.FISHEYE_VIDEO),
+        ],
+        "thresholds": plots.thresholds_text(),
+    }
+    target.mkdir(parents=True, exist_ok=True)
+    environment = jinja2.Environment(
+        loader=jinja2.FileSystemLoader(_TEMPLATES),
+        autoescape=jinja2.select_autoescape(["html"]),
+        undefined=jinja2.StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    style = Markup((_TEMPLATES / "report.css").read_text(encoding="utf-8"))
+    for name in ("report.html", "report.md"):
+        text = environment.get_template(name).render(style=style, **page)
+        _write(target / name, text)
+    _write(target / "summary.csv", to_csv(summary_rows(suites)))
+    _write(target / "scores.csv", to_csv(score_rows(suites)))
+
+
+def _suite_page(suite: SuiteScores, folder: RunFolder, *, show: bool) -> dict[str, Any]:
+    """Everything that the templates say about a suite."""
+    gallery, by = _gallery(folder) if show else ([], "")
+    groups = list(dict.fromkeys(suite.groups)) if suite.is_real else []
+    return {
+        "name": suite.name,
+        "anchor": _anchor(suite.name),
+        "config": suite.config,
+        "settings": _settings(suite),
+        "n": len(suite.names),
+        "fov": f"{suite.fov.min():.0f}° to {suite.fov.max():.0f}°",
+        "tables": [
+            make_table(
+                "Protocol 1, paper: pinhole of f = 160 px, as estimated",
+                suite,
+                paper_columns("paper"),
+            ),
+            make_table(
+                "Protocol 2, aligned: after the best similarity", suite, paper_columns("aligned")
+            ),
+            make_table(
+                "Protocol 3, straightness; and angles, failures, time",
+                suite,
+                straightness_columns(),
+            ),
+        ],
+        "real": make_table("Protocol 4, real cameras: all photographs", suite, camera_columns())
+        if suite.is_real
+        else None,
+        "cameras": [
+            {
+                "name": group,
+                "anchor": _anchor(f"{suite.name}-{group}"),
+                "n": len(suite.part(group).names),
+                "fov": f"{median(suite.part(group).fov):.0f}°",
+                "table": make_table(group, suite.part(group), camera_columns()),
+                "rows": [row for row in gallery if row["group"] == group][:1],
+            }
+            for group in groups
+        ],
+        "figures": list(_figures(suite)),
+        "gallery": [row for row in gallery if row["kind"] != "camera"],
+        "by": by,
+        "failures": _failures(suite),
+    }
+
+
+def _figures(suite: SuiteScores) -> Iterator[dict[str, str]]:
+    """The plots of a suite as SVG with captions."""
+    errors = [(row.method, row.values("aligned", "rpe")) for row in suite.methods]
+    for protocol, words in (("paper", "as estimated"), ("aligned", "after the best similarity")):
+        curves = [(row.method, row.counts(protocol)) for row in suite.methods]
+        marked = [(method, counts) for method, counts in curves if counts is not None]
+        if marked:
+            caption = f"Precision and recall of the rectified lines, {words}, on {suite.name}"
+            yield _figure(plots.precision_recall(marked), caption)
+    caption = f"Share of photographs of {suite.name} with an aligned error below a bound"
+    yield _figure(plots.error_shares(errors), caption)
+    if np.ptp(suite.fov) > 5:
+        caption = f"Aligned error against field of view on {suite.name}"
+        yield _figure(plots.error_by_fov(errors, suite.fov), caption)
+    times = [(row.method, row.values("seconds")) for row in suite.methods]
+    if any(np.median(values) > 1e-3 for _, values in times):
+        yield _figure(plots.seconds(times), f"Time of an estimate on {suite.name}")
+
+
+def _figure(figure: Any, caption: str) -> dict[str, str]:
+    return {"svg": Markup(plots.to_svg(figure, caption)), "caption": caption}
+
+
+def _gallery(folder: RunFolder) -> tuple[list[dict[str, Any]], str]:
+    """The chosen cases with their pictures as data; nothing where `evaluate` wrote none."""
+    index = folder.gallery / "index.json"
+    if not index.is_file():
+        return [], ""
+    record = json.loads(index.read_text(encoding="utf-8"))
+    for row in record["rows"]:
+        row["kind_text"] = KINDS[row["kind"]]
+        for picture in (*row["pictures"], *row["maps"]):
+            data = (folder.gallery / picture["file"]).read_bytes()
+            picture["src"] = f"data:image/jpeg;base64,{base64.b64encode(data).decode()}"
+    return record["rows"], record["by"]
+
+
+def _failures(suite: SuiteScores) -> list[tuple[str, list[tuple[str, int]]]]:
+    """Reasons of failures and how often, by method."""
+    listed = []
+    for row in suite.methods:
+        reasons = [r["reason"] or "no reason given" for r in row.records if r["status"] == "failed"]
+        counted = {reason: reasons.count(reason) for reason in dict.fromkeys(reasons)}
+        if counted:
+            ordered = sorted(counted.items(), key=lambda item: -item[1])[:5]
+            listed.append((row.method.full_name, ordered))
+    return listed
+
+
+def _settings(suite: SuiteScores) -> list[tuple[str, str]]:
+    """Settings of each method as text."""
+    methods = suite.config["methods"]
+    return [
+        (row.method.full_name, json.dumps(methods.get(row.method.tag, {}), sort_keys=True))
+        for row in suite.methods
+    ]
+
+
+def _anchor(name: str) -> str:
+    return "".join(letter if letter.isalnum() else "-" for letter in name.lower())
+
+
+def _write(path: Path, text: str) -> None:
+    with atomic_path(path) as temporary:
+        temporary.write_text(text, encoding="utf-8")
