@@ -7,6 +7,7 @@ stderr: exit code 2 for misuse, 1 for something that failed, 130 after Ctrl-C.
 
 from __future__ import annotations
 
+import logging
 import sys
 from importlib.metadata import EntryPoint, entry_points
 
@@ -90,4 +91,6 @@ def _complain(name: str, message: str, code: int) -> int:
 
 def main() -> None:
     """Entry point of the script `straightlens`."""
+    # what tifffile logs about a broken file is in the error that it raises, too
+    logging.getLogger("tifffile").setLevel(logging.CRITICAL)
     sys.exit(run())

@@ -84,14 +84,17 @@ def read_picture(path: str | os.PathLike[str], *, max_pixels: int = MAX_PIXELS) 
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # of Pillow, about size and odd metadata
-            with Image.open(path) as image:
-                _check_size(image, max_pixels)
-                return _read_open(path, image)
+            try:
+                with Image.open(path) as image:
+                    _check_size(image.width, image.height, max_pixels)
+                    return _read_open(path, image)
+            except UnidentifiedImageError:
+                return _read_tiff_alone(path, max_pixels)
     except (FileNotFoundError, PermissionError, IsADirectoryError):
         raise
     except Image.DecompressionBombError:
         raise ValueError(f"{path}: more than {max_pixels} pixels") from None
-    except UnidentifiedImageError:
+    except (tifffile.TiffFileError, IndexError):
         raise ValueError(f"{path}: not a picture that can be read") from None
     except _BROKEN as error:
         reason = " ".join(str(error).split()) or type(error).__name__
@@ -138,11 +141,20 @@ def write_picture(path: str | os.PathLike[str], picture: Picture) -> None:
             )
 
 
-def _check_size(image: Image.Image, max_pixels: int) -> None:
-    if image.width * image.height > max_pixels:
+def _check_size(width: int, height: int, max_pixels: int) -> None:
+    if width * height > max_pixels:
         raise Image.DecompressionBombError
-    if min(image.size) < 1:
+    if min(width, height) < 1:
         raise ValueError("the picture is empty")
+
+
+def _read_tiff_alone(path: Path, max_pixels: int) -> Picture:
+    """A file that Pillow does not know: RGB of 32 bits a channel, or no picture."""
+    with tifffile.TiffFile(path) as file:
+        page = file.pages.first
+        _check_size(page.imagewidth, page.imagelength, max_pixels)
+        icc = page.iccprofile
+    return Picture(_deep_tiff(path), icc)
 
 
 def _read_open(path: Path, image: Image.Image) -> Picture:
@@ -202,7 +214,7 @@ def _tiff_depth(image: TiffImagePlugin.TiffImageFile) -> int:
 def _deep_tiff(path: Path) -> np.ndarray:
     """The first page, by tifffile."""
     with tifffile.TiffFile(path) as file:
-        page = file.pages[0]
+        page = file.pages.first
         pixels = page.asarray()
         separate = pixels.ndim == 3 and pixels.shape[2] not in (1, 3, 4)
     if separate and pixels.shape[0] in (3, 4):

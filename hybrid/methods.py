@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib import import_module
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING, Protocol, runtime_checkable
 
 import numpy as np
 
@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from hybrid.result import Calibration
 
 
+@runtime_checkable
 class Estimator(Protocol):
     """Finds the lens of pictures; keeps what it has loaded between calls."""
 

@@ -29,7 +29,7 @@ def remap(
 
     Args:
         image: The source, shape (height, width) or (height, width, channels), of type uint8,
-            uint16, float16, float32 or float64.
+            uint16, float16, float32 or float64; all floats are interpolated in float32.
         maps: Where each new pixel lies in the source.
         interpolation: "nearest", "linear", "cubic" or "lanczos".
         antialias: Smooth the source where it shrinks. Not done with "nearest", which is for labels.
@@ -41,11 +41,10 @@ def remap(
         ValueError: If the shape, the dtype or an option is none of these.
     """
     kernel = _check(image, maps, interpolation)
-    if image.dtype == np.float16:
-        wide = remap(
-            image.astype(np.float32), maps, interpolation=interpolation, antialias=antialias
-        )
-        return wide.astype(np.float16)
+    if image.dtype in (np.float16, np.float64):  # in float32 OpenCV places lookups exactly
+        single = image.astype(np.float32)
+        out = remap(single, maps, interpolation=interpolation, antialias=antialias)
+        return out.astype(image.dtype)
     new_shape = maps.u.shape + image.shape[2:]
     if 0 in new_shape:
         return np.zeros(new_shape, image.dtype)

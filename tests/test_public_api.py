@@ -1,0 +1,51 @@
+"""The names that users import, and that they are this project's."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import hybrid
+
+ROOT = Path(__file__).resolve().parents[1]
+NAMES = {
+    "Calibration",
+    "CameraFile",
+    "KannalaBrandt",
+    "Picture",
+    "Pinhole",
+    "Quality",
+    "Rectification",
+    "RectificationError",
+    "Rectifier",
+    "RectifyConfig",
+    "calibrate",
+    "draw_curves",
+    "read_camera",
+    "read_picture",
+    "rectify",
+    "write_camera",
+    "write_picture",
+}
+SUBMODULES = {path.stem for path in (ROOT / "hybrid").glob("*.py")}
+
+
+def test_hybrid_is_ours():
+    assert hybrid.__file__ is not None
+    assert Path(hybrid.__file__).is_relative_to(ROOT)
+
+
+def test_exported_names_are_pinned():
+    public = {name for name in vars(hybrid) if not name.startswith("_")}
+    assert public - SUBMODULES == NAMES
+
+
+def test_no_exported_name_hides_a_submodule():
+    assert not NAMES & SUBMODULES
+
+
+def test_importing_hybrid_is_light():
+    code = "import sys, hybrid; print(*{'torch', 'matplotlib'} & set(sys.modules))"
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=ROOT
+    )
+    assert done.stdout.split() == []
