@@ -84,8 +84,7 @@ def write_gallery(suite: Suite, folder: RunFolder) -> None:
     errors = scores.primary.values("aligned", "rpe")
     picks = choose(errors, scores.names)
     if suite.is_real:
-        taken = {index for index, _ in picks}
-        picks += [pick for pick in _medians(errors, scores) if pick[0] not in taken]
+        picks += _medians(errors, scores)
     folder.gallery.mkdir(exist_ok=True)
     cases = {case.name: case for case in suite.cases}
     rows = [

@@ -121,7 +121,9 @@ def _suite_page(suite: SuiteScores, folder: RunFolder, *, show: bool) -> dict[st
                 "n": len(suite.part(group).names),
                 "fov": f"{median(suite.part(group).fov):.0f}°",
                 "table": make_table(group, suite.part(group), camera_columns()),
-                "rows": [row for row in gallery if row["group"] == group][:1],
+                "rows": [
+                    row for row in gallery if (row["group"], row["kind"]) == (group, "camera")
+                ],
             }
             for group in groups
         ],
