@@ -1,0 +1,272 @@
+"""The Hough space (distance, angle, p), one slice of constant p after another.
+
+Exactly the voting of the articles, arranged for speed: a point votes once for each angle, in whole
+numbers, and the five distance bins of weight 1 / (1 + |n|), n = −2 … 2, are summed afterwards where
+a maximum is possible. Only one slice a worker is in memory at a time.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+from classical.baselines.aleman_flores.config import AlemanFloresConfig
+
+SCORE_UNIT = 6
+"""Slices hold six times the score, so that 1, 1/2 and 1/3 are whole numbers."""
+
+_BLOCK_BINS = 1 << 16  # bins worked on together, so that they stay in the cache
+_WEIGHTS_SUM = 16  # of the five bins of a vote, in units of the score
+_MARGIN = 6  # empty distance bins at each side of a slice
+
+
+@dataclass(frozen=True)
+class HoughMaxima:
+    """Maxima of the best slice, in the order in which they were picked.
+
+    A line is cos(angle) x + sin(angle) y = distance in the undistorted plane about the centre.
+
+    Attributes:
+        p: Normalised distortion of the slice.
+        angles: Angle of the normal, radians in [0, π), shape (m,).
+        distances: Distance to the centre with its sign, px, shape (m,).
+        scores: Votes, shape (m,).
+        slice_p: All values of p searched, shape (s,).
+        slice_scores: Sum of the picked maxima in each slice, shape (s,).
+    """
+
+    p: float
+    angles: Float[np.ndarray, " m"]
+    distances: Float[np.ndarray, " m"]
+    scores: Float[np.ndarray, " m"]
+    slice_p: Float[np.ndarray, " s"]
+    slice_scores: Float[np.ndarray, " s"]
+
+
+def hough_search(
+    points: Float[np.ndarray, "n 2"],
+    normals: Float[np.ndarray, "n 2"],
+    radius: float,
+    p_values: Float[np.ndarray, " s"],
+    *,
+    config: AlemanFloresConfig,
+) -> HoughMaxima:
+    """Find the slice whose picked maxima have the largest sum; the first one on ties.
+
+    Args:
+        points: Edge points relative to the centre of distortion, px.
+        normals: Unit normals of the edges at the points.
+        radius: Radius R at which p is defined: k = −p / (R² (1 + p)).
+        p_values: Slices to search.
+        config: Parameters of the method.
+    """
+    if not len(p_values):
+        raise ValueError("Expected at least one value of p, got none.")
+
+    def search(worker: int) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
+        accumulator = _Accumulator(config)
+        return [
+            accumulator.maxima(*undistort_edges(points, normals, -p / (radius**2 * (1 + p))))
+            for p in p_values[worker::workers]
+        ]
+
+    workers = min(config.workers, len(p_values))
+    with ThreadPoolExecutor(workers) as pool:
+        shares = list(pool.map(search, range(workers)))
+    slices = [shares[i % workers][i // workers] for i in range(len(p_values))]
+    scores = np.array([picked[2].sum() for picked in slices])
+    best = int(np.argmax(scores))  # the first one on ties
+    return HoughMaxima(
+        float(p_values[best]), *slices[best], np.asarray(p_values, np.float64), scores
+    )
+
+
+def undistort_edges(
+    points: Float[np.ndarray, "n 2"],
+    normals: Float[np.ndarray, "n 2"],
+    k1: float,
+    k2: float = 0.0,
+) -> tuple[Float[np.ndarray, "n 2"], Float[np.ndarray, "n 2"]]:
+    """Move points by x / (1 + k1 r² + k2 r⁴) and carry their normals along.
+
+    The tangent t becomes J t with J = s I − s² (2 k1 + 4 k2 r²) x xᵀ, s the factor of the point;
+    the normal stays at right angles to it, on the same side.
+    """
+    squared = (points**2).sum(axis=1)
+    scale = 1.0 / (1.0 + squared * (k1 + k2 * squared))
+    tangents = np.stack([-normals[:, 1], normals[:, 0]], axis=1)
+    along = (points * tangents).sum(axis=1)
+    radial = scale * (2.0 * k1 + 4.0 * k2 * squared) * along  # J t / s = t − radial x
+    moved = tangents - points * radial[:, None]
+    moved /= np.maximum(np.linalg.norm(moved, axis=1, keepdims=True), 1e-12)
+    return points * scale[:, None], np.stack([moved[:, 1], -moved[:, 0]], axis=1)
+
+
+class _Accumulator:
+    """One slice of the Hough space, its memory used again for each p."""
+
+    def __init__(self, config: AlemanFloresConfig) -> None:
+        self.config = config
+        self.step = np.deg2rad(config.angle_step_deg)
+        self.footprint = _footprint(config)
+        self.votes = np.zeros(0, np.uint16)
+        self.used = np.zeros(0, bool)  # all False between two slices
+        self.last_pick = 0  # where the search for candidates of the next slice begins
+
+    def maxima(
+        self, points: np.ndarray, normals: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Angles, distances and scores of the picked maxima of the slice of these points."""
+        farthest = np.sqrt((points**2).sum(axis=1).max(initial=0.0))
+        centre = int(farthest) + 1 + _MARGIN
+        picked = self._pick(self._fold(self._vote(points, normals, centre)))
+        rows, columns, values = np.array(picked, np.int64).reshape(-1, 3).T
+        self.last_pick = int(values[-1]) if len(values) else 0
+        return rows * self.step, (columns - centre).astype(np.float64), values / SCORE_UNIT
+
+    def _vote(self, points: np.ndarray, normals: np.ndarray, centre: int) -> np.ndarray:
+        """Count votes; rows are angles from −reach to 180° + reach, columns are distances."""
+        config, reach = self.config, self.config.angle_reach
+        n_rows, n_columns = config.n_angles + 2 * reach, 2 * centre + 1
+        if self.votes.size < n_rows * n_columns:
+            self.votes = np.zeros(n_rows * n_columns, np.uint16)
+        votes = self.votes[: n_rows * n_columns]
+        votes.fill(0)
+        row = np.rint(np.arctan2(normals[:, 1], normals[:, 0]) / self.step).astype(np.intp)
+        row %= config.n_angles
+        order = np.argsort(row, kind="stable")  # neighbours in memory, one after another
+        row, points = row[order], points[order]
+        cosine, sine = np.cos(row * self.step), np.sin(row * self.step)
+        across = points[:, 0] * cosine + points[:, 1] * sine
+        along = points[:, 1] * cosine - points[:, 0] * sine
+        # Flat bin (row + j) * columns + centre + round(across cos jδ + along sin jδ) as a product.
+        left = np.stack([across, along, row * n_columns + centre + 0.5, np.ones(len(row))], axis=1)
+        turn = np.arange(2 * reach + 1)
+        delta = (turn - reach) * self.step
+        right = np.stack([np.cos(delta), np.sin(delta), np.ones(len(turn)), turn * n_columns])
+        block = max(_BLOCK_BINS // len(turn), 1)
+        one = np.uint16(1)
+        for start in range(0, len(left), block):
+            bins = (left[start : start + block] @ right).astype(np.intp)
+            np.add.at(votes, bins.ravel(), one)
+        return votes.reshape(n_rows, n_columns)
+
+    def _fold(self, votes: np.ndarray) -> np.ndarray:
+        """Add rows outside [0°, 180°) where they belong: 180° further on and mirrored."""
+        reach, n_angles = self.config.angle_reach, self.config.n_angles
+        inside = votes[reach : reach + n_angles]
+        inside[n_angles - reach :] += votes[:reach, ::-1]
+        inside[:reach] += votes[reach + n_angles :, ::-1]
+        return inside
+
+    def _pick(self, votes: np.ndarray) -> list[tuple[int, int, int]]:
+        """Row, column and score of the largest local maxima, each clearing its neighbourhood."""
+        half_rows, half_columns = self.footprint.shape[0] // 2, self.footprint.shape[1] // 2
+        shape = (len(votes) + 2 * half_rows, votes.shape[1] + 2 * half_columns)
+        if self.used.size < shape[0] * shape[1]:
+            self.used = np.zeros(shape[0] * shape[1], bool)
+        used = self.used[: shape[0] * shape[1]].reshape(shape)
+        picked: list[tuple[int, int, int]] = []
+        for row, column, value in _candidates(votes, self.last_pick):
+            if used[row + half_rows, column + half_columns]:
+                continue
+            picked.append((row, column, value))
+            if len(picked) == self.config.maxima:
+                break
+            for target, mark in self._cleared(used, row, column, votes.shape):
+                target |= mark
+        for row, column, _ in picked:
+            for target, _ in self._cleared(used, row, column, votes.shape):
+                target[:] = False
+        return picked
+
+    def _cleared(
+        self, used: np.ndarray, row: int, column: int, shape: tuple[int, ...]
+    ) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+        """Where the footprint of a pick falls: at it, and mirrored across 0° = 180°."""
+        height, width = self.footprint.shape
+        mirrored = shape[1] - 1 - column
+        for top, left in (row, column), (row - shape[0], mirrored), (row + shape[0], mirrored):
+            if -height < top < len(used):
+                first = max(-top, 0)
+                target = used[max(top, 0) : top + height, left : left + width]
+                yield target, self.footprint[first : first + len(target)]
+
+
+def _candidates(votes: np.ndarray, guess: int) -> Iterator[tuple[int, int, int]]:
+    """Row, column and score of local 3x3 maxima of a slice, largest first.
+
+    They are found in bands of falling score; `guess` is where the first band may end, which changes
+    the work and never the order.
+    """
+    flat = votes.reshape(-1)
+    upper = _WEIGHTS_SUM * int(flat.max(initial=0)) + 1
+    lower = int(0.85 * guess) if 0 < 0.85 * guess < upper else upper // 4
+    while upper > 1:
+        lower = max(lower, 1)
+        bins = _bins_scoring(flat, lower)
+        bins = bins[_score(flat, bins) < upper]
+        bins = bins[_is_local_maximum(votes, bins)]
+        values = _score(flat, bins)
+        order = np.argsort(-values, kind="stable")
+        rows, columns = np.divmod(bins[order], votes.shape[1])
+        yield from zip(rows.tolist(), columns.tolist(), values[order].tolist(), strict=True)
+        upper, lower = lower, lower // 2
+
+
+def _bins_scoring(votes: np.ndarray, least: int) -> np.ndarray:
+    """Flat bins that score at least so much; the empty margin of each row keeps rows apart."""
+    score, sides = np.empty(_BLOCK_BINS, np.uint16), np.empty(_BLOCK_BINS, np.uint16)
+    found = []
+    for start in range(2, votes.size - 2, _BLOCK_BINS):
+        stop = min(start + _BLOCK_BINS, votes.size - 2)
+        value, side = score[: stop - start], sides[: stop - start]
+        # 6 c + 3 (l + r) + 2 (ll + rr) = 2 (3 c + (l + r) + (ll + rr)) + (l + r)
+        np.add(votes[start - 1 : stop - 1], votes[start + 1 : stop + 1], out=side)
+        np.multiply(votes[start:stop], 3, out=value)
+        value += votes[start - 2 : stop - 2]
+        value += votes[start + 2 : stop + 2]
+        value += side
+        value *= 2
+        value += side
+        found.append(np.flatnonzero(value >= least) + start)
+    return np.concatenate(found)
+
+
+def _score(votes: np.ndarray, bins: np.ndarray) -> np.ndarray:
+    """Six times the sum of votes weighted 1 / (1 + |n|) over distances n = −2 … 2, at flat bins."""
+    near = votes[bins - 1].astype(np.int64) + votes[bins + 1]
+    far = votes[bins - 2].astype(np.int64) + votes[bins + 2]
+    return 6 * votes[bins].astype(np.int64) + 3 * near + 2 * far
+
+
+def _is_local_maximum(votes: np.ndarray, bins: np.ndarray) -> np.ndarray:
+    """Which flat bins have a score that none of their eight neighbours exceeds."""
+    n_rows, n_columns = votes.shape
+    flat = votes.reshape(-1)
+    rows, columns = np.divmod(bins, n_columns)
+    value = _score(flat, bins)
+    maximum = np.ones(len(bins), bool)
+    for down in (-1, 0, 1):
+        row = rows + down
+        outside = (row < 0) | (row >= n_rows)
+        base = row % n_rows * n_columns + np.where(outside, n_columns - 1 - columns, columns)
+        for right in (-1, 0, 1):
+            maximum &= value >= _score(flat, base + right)
+    return maximum
+
+
+def _footprint(config: AlemanFloresConfig) -> np.ndarray:
+    """Neighbourhood of a maximum: a rectangle (2014) or the butterfly of a line's votes (2016)."""
+    if config.variant == "2014":
+        rows = round(config.clear_angle_deg / config.angle_step_deg)
+        return np.ones((2 * rows + 1, 2 * config.clear_distance + 1), bool)
+    rows = config.angle_reach
+    angle = np.abs(np.arange(-rows, rows + 1)) * config.angle_step_deg
+    half_width = np.maximum(5.0, 5.0 * angle)
+    columns = int(half_width.max())
+    return np.abs(np.arange(-columns, columns + 1)) <= half_width[:, None]
