@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.spatial import KDTree
 
-from classical.lines.smooth import counter_bend, fit_arcs, gather_ranges, polynomial_degrees
+from classical.lines.smooth import counter_bend, fit_arcs, fit_by_length
 
 
 @dataclass(frozen=True)
@@ -102,7 +102,7 @@ def _continuing_pairs(
         return []
     trial = [
         _concatenated(arcs[a % count], a // count, arcs[b % count], b // count)
-        for a, b in zip(i, j, strict=True)
+        for a, b in zip(i.tolist(), j.tolist(), strict=True)
     ]
     rms, counter = _common_fit(points, trial)
     good = (rms <= config.max_rms) & (counter <= config.max_counter_bend)
@@ -116,15 +116,6 @@ def _continuing_pairs(
 
 def _common_fit(points: np.ndarray, arcs: list[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
     """Root mean square distance and counter-bend of one polynomial through each arc."""
-    lengths = np.array([len(arc) for arc in arcs])
-    stops = np.cumsum(lengths)
-    packed = points[np.concatenate(arcs)]
-    degrees = polynomial_degrees(lengths)
-    rms, counter = np.zeros(len(arcs)), np.zeros(len(arcs))
-    for degree in np.unique(degrees):
-        chosen = np.flatnonzero(degrees == degree)
-        selected, offsets = gather_ranges(stops[chosen] - lengths[chosen], stops[chosen])
-        fit = fit_arcs(packed[selected], offsets, degree=int(degree))
-        rms[chosen] = fit.rms
-        counter[chosen] = counter_bend(fit, offsets)[0]
-    return rms, counter
+    offsets = np.concatenate([[0], np.cumsum([len(arc) for arc in arcs])])
+    fit = fit_by_length(points[np.concatenate(arcs)], offsets)
+    return fit.rms, counter_bend(fit, offsets)[0]

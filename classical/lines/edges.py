@@ -105,8 +105,11 @@ def gradient(grey: np.ndarray, sigma: float) -> tuple[np.ndarray, np.ndarray, np
 
 
 def step_per_gradient(sigma: float) -> float:
-    """Height of a sharp step whose gradient is 1 after the blur, grey levels."""
-    return float(np.sqrt(2 * np.pi) * sigma)
+    """Height of a sharp step whose measured gradient is 1, grey levels.
+
+    The pixel (variance 1/12) and the difference over two pixels (1/3) blur as the Gaussian does.
+    """
+    return float(np.sqrt(2 * np.pi * (sigma**2 + 5 / 12)))
 
 
 def empty_edge_points(height: int, width: int) -> EdgePoints:

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from classical.camera.base import Camera
+from classical.camera import Division, KannalaBrandt, Pinhole
 from classical.lines.curve import Curve
 
 _SPACING = 4.0  # pixels between the points that are used to compare curves
@@ -61,7 +61,10 @@ class _Pieces:
 
 
 def join_curves(
-    curves: list[Curve], camera: Camera, *, config: JoinConfig = JoinConfig()
+    curves: list[Curve],
+    camera: KannalaBrandt | Division | Pinhole,
+    *,
+    config: JoinConfig = JoinConfig(),
 ) -> list[Curve]:
     """Join curves that lie on one great circle, close to each other along it.
 
@@ -88,7 +91,7 @@ def join_curves(
 
 
 def sampson_rays(
-    points: Float[np.ndarray, "n 2"], camera: Camera
+    points: Float[np.ndarray, "n 2"], camera: KannalaBrandt | Division | Pinhole
 ) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, "n 3 2"]]:
     """Rays of pixels and their derivatives by central differences, any camera; NaN if unseen."""
     rays, valid = camera.unproject(points)
@@ -103,7 +106,9 @@ def sampson_rays(
     return np.where(valid[:, None], rays, np.nan), derivative
 
 
-def _describe(curves: list[Curve], camera: Camera) -> tuple[_Pieces, list[int]]:
+def _describe(
+    curves: list[Curve], camera: KannalaBrandt | Division | Pinhole
+) -> tuple[_Pieces, list[int]]:
     """Statistics of the curves that the camera sees, and the indices of the others."""
     coarse = [curve.resampled(_SPACING).points for curve in curves]
     stops = np.cumsum([len(points) for points in coarse]).tolist()
@@ -239,7 +244,9 @@ def _merge(pieces: _Pieces, pairs: list[tuple[int, int]]) -> _Pieces:
     )
 
 
-def _joined(curves: list[Curve], group: list[int], camera: Camera) -> Curve:
+def _joined(
+    curves: list[Curve], group: list[int], camera: KannalaBrandt | Division | Pinhole
+) -> Curve:
     """One curve of all points of a group, in order along their circle."""
     points = np.concatenate([curves[k].points for k in group])
     rays = camera.unproject(points)[0]

@@ -11,7 +11,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from numpy.polynomial import legendre
 
 _ROUNDS = 9
@@ -143,6 +143,52 @@ def fit_arcs(
     return ArcFit(distance, tangents, curvature, spacing, rms, largest)
 
 
+def fit_by_length(points: Float[np.ndarray, "m 2"], offsets: Int[np.ndarray, " p1"]) -> ArcFit:
+    """Fit each piece by the polynomial that its number of points allows; see `fit_arcs`."""
+    lengths = np.diff(offsets)
+    degrees = polynomial_degrees(lengths)
+    m, p = len(points), len(lengths)
+    fit = ArcFit(np.zeros(m), np.zeros((m, 2)), np.zeros(m), np.zeros(m), np.zeros(p), np.zeros(p))
+    for degree in np.unique(degrees):
+        chosen = np.flatnonzero(degrees == degree)
+        selected, local = gather_ranges(offsets[chosen], offsets[chosen + 1])
+        part = fit_arcs(points[selected], local, degree=int(degree))
+        fit.distance[selected], fit.tangents[selected] = part.distance, part.tangents
+        fit.curvature[selected], fit.spacing[selected] = part.curvature, part.spacing
+        fit.rms[chosen], fit.largest[chosen] = part.rms, part.largest
+    return fit
+
+
+def inliers(
+    points: Float[np.ndarray, "m 2"],
+    offsets: Int[np.ndarray, " p1"],
+    *,
+    floor: float,
+    factor: float = 5.0,
+    rounds: int = 2,
+) -> Bool[np.ndarray, " m"]:
+    """True for points near the polynomial of their piece; false where something crosses it.
+
+    Args:
+        points: Points in order along pieces, shape (m, 2).
+        offsets: Piece p is points[offsets[p] : offsets[p + 1]], shape (p + 1,).
+        floor: Distances up to this are always near, pixels.
+        factor: Distances up to this many medians of the piece's distances are near.
+        rounds: Of fitting without the points that were found to be far.
+    """
+    label = np.repeat(np.arange(len(offsets) - 1), np.diff(offsets))
+    keep = np.ones(len(points), dtype=bool)
+    for _ in range(rounds):
+        counts = np.bincount(label[keep], minlength=len(offsets) - 1)
+        local = np.concatenate([[0], np.cumsum(counts)])
+        distance = np.abs(fit_by_length(points[keep], local).distance)
+        order = np.lexsort((distance, label[keep]))
+        median = distance[order][local[:-1] + counts // 2]
+        near = distance <= np.maximum(floor, factor * median)[label[keep]]
+        keep[np.flatnonzero(keep)[~near]] = False
+    return keep
+
+
 def arc_length(points: np.ndarray, offsets: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Arc length from the start of each piece at each point, and of each piece as a whole."""
     steps = np.zeros(len(points))
@@ -162,20 +208,12 @@ def _judge(
     points: np.ndarray, starts: np.ndarray, stops: np.ndarray, config: SmoothConfig
 ) -> tuple[np.ndarray, np.ndarray]:
     """Which pieces are smooth arcs, and where to cut each that is not."""
-    good = np.zeros(len(starts), dtype=bool)
-    cut = (starts + stops) // 2
-    degrees = polynomial_degrees(stops - starts)
-    for degree in np.unique(degrees):
-        chosen = np.flatnonzero(degrees == degree)
-        selected, offsets = gather_ranges(starts[chosen], stops[chosen])
-        fit = fit_arcs(points[selected], offsets, degree=int(degree))
-        counter, turning_point = counter_bend(fit, offsets)
-        near = (fit.rms <= config.max_rms) & (fit.largest <= config.max_distance)
-        one_sided = counter <= config.max_counter_bend
-        good[chosen] = near & one_sided
-        where = np.where(near, turning_point, _kink(fit.distance, offsets))
-        cut[chosen] = starts[chosen] + where
-    return good, cut
+    selected, offsets = gather_ranges(starts, stops)
+    fit = fit_by_length(points[selected], offsets)
+    counter, turning_point = counter_bend(fit, offsets)
+    near = (fit.rms <= config.max_rms) & (fit.largest <= config.max_distance)
+    cut = starts + np.where(near, turning_point, _kink(fit.distance, offsets))
+    return near & (counter <= config.max_counter_bend), cut
 
 
 def counter_bend(fit: ArcFit, offsets: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from classical.lines.edges import step_per_gradient
-from classical.lines.smooth import arc_length, fit_arcs, gather_ranges, polynomial_degrees
+from classical.lines.smooth import arc_length, fit_by_length, gather_ranges
 
 _TILE = 1024  # columns of the array that is handed to cv2.remap
 _TINY = 1e-6
@@ -93,15 +93,10 @@ def even_nodes(
     points: np.ndarray, offsets: np.ndarray, spacing: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Equally spaced points on the smoothed curves, unit normals there, and new offsets."""
-    smooth, tangents = np.empty_like(points), np.empty_like(points)
-    degrees = polynomial_degrees(np.diff(offsets))
-    for degree in np.unique(degrees):
-        chosen = np.flatnonzero(degrees == degree)
-        selected, local = gather_ranges(offsets[chosen], offsets[chosen + 1])
-        fit = fit_arcs(points[selected], local, degree=int(degree))
-        normal = np.stack([-fit.tangents[:, 1], fit.tangents[:, 0]], axis=1)
-        smooth[selected] = points[selected] - normal * fit.distance[:, None]
-        tangents[selected] = fit.tangents
+    fit = fit_by_length(points, offsets)
+    tangents = fit.tangents
+    normals = np.stack([-tangents[:, 1], tangents[:, 0]], axis=1)
+    smooth = points - normals * fit.distance[:, None]
     position, total = arc_length(smooth, offsets)
     counts = np.maximum(2, np.round(total / spacing).astype(np.int64) + 1)
     new_offsets = np.concatenate([[0], np.cumsum(counts)])
