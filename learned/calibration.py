@@ -14,7 +14,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from learned.parameters import N_FREE, N_PARAMETERS, Parameters
+from learned.parameters import N_FREE, N_PARAMETERS
 from learned.pyramid import conv_norm
 from learned.rectification import pixel_grid
 from learned.resnet import stage
@@ -149,12 +149,9 @@ class Calibration(nn.Module):
 
     temperature: Tensor
 
-    def __init__(
-        self, cfg: CalibrationCfg, parameters: Parameters, *, feature_channels: int
-    ) -> None:
+    def __init__(self, cfg: CalibrationCfg, *, feature_channels: int) -> None:
         super().__init__()
         self.cfg = cfg
-        self.parameters_of_lens = parameters
         self.backbone = Backbone(cfg, feature_channels=feature_channels)
         channels = self.backbone.channels_out
         self.convs = nn.Sequential(
@@ -196,11 +193,11 @@ class Calibration(nn.Module):
             assert heatmap is not None
             parts.append(heatmap)
         if self.cfg.coordinates:
-            height, width = image.shape[-2:]
+            height, width = int(image.shape[-2]), int(image.shape[-1])
             at = pixel_grid(height, width, device=image.device).reshape(height, width, 2)
             square = at.square().sum(-1, keepdim=True)
             planes = torch.cat([at, square], -1).permute(2, 0, 1)
-            parts.append(planes.to(image.dtype).expand(len(image), -1, -1, -1))
+            parts.append(planes.to(image.dtype).expand(image.shape[0], -1, -1, -1))
         if not parts:
             parts = [torch.zeros_like(image[:, :0])]
         return torch.cat(parts, 1)
@@ -208,8 +205,8 @@ class Calibration(nn.Module):
 
 def regions(map_: Float[Tensor, "b c h w"]) -> list[Tensor]:
     """Four quarters and the centre (6x6 of 10x10): UL, LL, UR, LR, centre."""
-    height, width = map_.shape[-2:]
-    h, w = height // 2, width // 2
+    height, width = int(map_.shape[-2]), int(map_.shape[-1])
+    h, w = (height + 1) // 2, (width + 1) // 2
     top, left = round(0.2 * height), round(0.2 * width)
     return [
         map_[..., :h, :w],
@@ -227,7 +224,7 @@ def cholesky_factor(entries: Float[Tensor, "b m"]) -> Float[Tensor, "b 8 8"]:
     likelihood run away.
     """
     rows, columns = torch.tril_indices(N_FREE, N_FREE, device=entries.device)
-    factor = entries.new_zeros(len(entries), N_FREE, N_FREE)
+    factor = entries.new_zeros(entries.shape[0], N_FREE, N_FREE)
     factor[:, rows, columns] = entries
-    diagonal = torch.diagonal(factor, dim1=1, dim2=2).clamp(-3.0, 6.0).exp()
-    return torch.tril(factor, -1) + torch.diag_embed(diagonal)
+    eye = torch.eye(N_FREE, device=entries.device)
+    return torch.tril(factor, -1) + eye * factor.clamp(-3.0, 6.0).exp()

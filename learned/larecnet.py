@@ -6,7 +6,6 @@ Xue et al., "Fisheye Distortion Rectification from Deep Straight Lines".
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Self
 
 import torch
 from jaxtyping import Float
@@ -66,14 +65,12 @@ class LaRecNet(nn.Module):
         self.cfg = cfg
         self.dlp = LinePerception(cfg.dlp).requires_grad_(False)
         self.parameters_of_lens = Parameters()
-        self.calibration = Calibration(
-            cfg.calibration, self.parameters_of_lens, feature_channels=cfg.dlp.width
-        )
+        self.calibration = Calibration(cfg.calibration, feature_channels=cfg.dlp.width)
         channels = _stage_channels(cfg.calibration)
         self.uncertainty = AttentiveUncertainty(channels, width=cfg.uncertainty_width)
         self.dlp.eval()
 
-    def train(self, mode: bool = True) -> Self:
+    def train(self, mode: bool = True) -> LaRecNet:
         """Training mode for all but line perception."""
         super().train(mode)
         self.dlp.eval()

@@ -56,7 +56,7 @@ class Parameters(nn.Module):
     def decode(self, z: Float[Tensor, "b 9"]) -> Float[Tensor, "b 9"]:
         """Coordinates to k; m_u is its gauge value."""
         k = self.mean + z.float() @ self.factor.T
-        return torch.cat([k[:, :5], self.mean[5].expand(len(k), 1), k[:, 6:]], 1)
+        return torch.cat([k[:, :5], self.mean[5].expand(k.shape[0], 1), k[:, 6:]], 1)
 
     def encode(self, k: Float[Tensor, "b 9"]) -> Float[Tensor, "b 9"]:
         """K to coordinates; the inverse of `decode` in the gauge."""

@@ -27,16 +27,14 @@ class PyramidBranch(nn.Module):
 
     def forward(self, features: Float[Tensor, "b c h w"]) -> Float[Tensor, "b c h w"]:
         """Run the branch; the size of `features` is kept."""
-        height, width = features.shape[-2:]
-        if self.scale == 0.5 and height % 2 == 0 and width % 2 == 0:
-            small = functional.avg_pool2d(features, 2)
+        if self.scale == 0.5:
+            small = functional.avg_pool2d(features, 2, ceil_mode=True)
         else:
-            size = (max(1, round(height * self.scale)), max(1, round(width * self.scale)))
             small = functional.interpolate(
-                features, size=size, mode="bilinear", align_corners=False
+                features, scale_factor=self.scale, mode="bilinear", align_corners=False
             )
         seen = self.widen(self.look(small))
-        return functional.interpolate(seen, size=(height, width), mode="nearest")
+        return functional.interpolate(seen, size=features.shape[-2:], mode="nearest")
 
 
 class PyramidResidual(nn.Module):

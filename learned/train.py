@@ -13,7 +13,7 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
 import torch
 from accelerate import Accelerator
@@ -56,6 +56,7 @@ class RunCfg:
     bf16: bool = True
 
 
+@runtime_checkable
 class Phase(Protocol):
     """What is trained: a loss on a batch and a report on validation batches."""
 

@@ -13,7 +13,7 @@ LENSES = {
 }
 
 
-@pytest.fixture(params=LENSES.values(), ids=LENSES.keys())
+@pytest.fixture(params=LENSES.values(), ids=list(LENSES))
 def lens(request: pytest.FixtureRequest) -> torch.Tensor:
     return torch.tensor([request.param], dtype=torch.float64)
 
