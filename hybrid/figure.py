@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -32,13 +33,15 @@ def side_by_side(
     Returns:
         An RGB picture of 8 bits.
     """
-    panels = (
-        ("input", to_rgb8(image)),
-        ("curves found in it", draw_curves(image, result.curves)),
-        ("rectified", to_rgb8(result.image)),
-    )
-    columns = [_panel(title, pixels, height) for title, pixels in panels]
-    columns.append(_numbers(result, height))
+    small = _at_height(to_rgb8(image), height)
+    factor = height / image.shape[0]
+    curves = [replace(curve, points=curve.points * factor) for curve in result.curves]
+    columns = [
+        _panel("input", small),
+        _panel("curves found in it", draw_curves(small, curves)),
+        _panel("rectified", _at_height(to_rgb8(result.image), height)),
+        _numbers(result, height),
+    ]
     gap = np.full((height + _TITLE, _GAP, 3), _PAPER, np.uint8)
     row = [gap]
     for column in columns:
@@ -79,12 +82,17 @@ def describe_camera(camera: KannalaBrandt) -> list[str]:
     ]
 
 
-def _panel(title: str, pixels: np.ndarray, height: int) -> np.ndarray:
-    """A picture at the given height under its title."""
+def _at_height(pixels: np.ndarray, height: int) -> np.ndarray:
     width = max(1, round(pixels.shape[1] * height / pixels.shape[0]))
     kernel = cv2.INTER_AREA if height < pixels.shape[0] else cv2.INTER_LINEAR
+    return cv2.resize(pixels, (width, height), interpolation=kernel)
+
+
+def _panel(title: str, pixels: np.ndarray) -> np.ndarray:
+    """A picture under its title."""
+    height, width = pixels.shape[:2]
     panel = np.full((height + _TITLE, width, 3), _PAPER, np.uint8)
-    panel[_TITLE:] = cv2.resize(pixels, (width, height), interpolation=kernel)
+    panel[_TITLE:] = pixels
     cv2.putText(panel, title, (2, _TITLE - 11), _FONT, 0.62, _INK, 1, cv2.LINE_AA)
     return panel
 

@@ -49,7 +49,7 @@ def draw_curves(
     width = max(1, round(2 * unit))
     for curve in sorted(curves, key=lambda curve: curve.inlier):
         if curve.inlier:
-            _polyline(canvas, curve.points, (0, 0, 0), width + 2)
+            _polyline(canvas, curve.points, (0, 0, 0), width + max(1, round(2 * unit)))
             _polyline(canvas, curve.points, _colour(curve.residual_px / top), width)
         else:
             _dashes(canvas, curve.points, max(1, round(unit)), 8 * unit)
