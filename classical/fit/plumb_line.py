@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -16,7 +16,7 @@ from classical.fit.samples import CurveSamples, sample_curves
 from classical.fit.search import SearchConfig, search
 from classical.fit.solve import SolverConfig, solve
 from classical.fit.straightness import straightness
-from classical.lines import Curve
+from classical.lines import Curve, join_curves
 
 _REFERENCE_WIDTH = 1280  # tolerances are pixels of a picture this wide
 
@@ -26,21 +26,23 @@ class FitConfig:
     """The plumb-line fit; lengths in pixels of a picture 1280 wide.
 
     Attributes:
-        sigma: Standard deviation of a sample across its line: edge noise, bends of real edges and
-            what the lens model cannot follow.
+        sigma_range: Least and greatest standard deviation of a sample across its line. In between
+            it is measured in the picture: the median RMS residual of the curves.
         tolerances: RMS residual at which a curve has lost most of its weight, one per round.
         inlier_tolerance: RMS residual up to which a curve is called straight.
         spacing: Distance between samples on a curve.
         max_curves: Longest curves used in each picture.
+        joinings: How often pieces of one line are joined under the lens and the fit repeated.
         search: The global start.
         solver: The local solver.
     """
 
-    sigma: float = 0.5
+    sigma_range: tuple[float, float] = (0.1, 1.0)
     tolerances: tuple[float, ...] = (3.0, 1.5, 1.0, 1.0)
     inlier_tolerance: float = 1.0
     spacing: float = 14.0
     max_curves: int = 120
+    joinings: int = 1
     search: SearchConfig = field(default_factory=SearchConfig)
     solver: SolverConfig = field(default_factory=SolverConfig)
 
@@ -51,7 +53,6 @@ class _Candidate:
 
     camera: KannalaBrandt
     covariance: np.ndarray
-    cost: float
 
 
 def fit_lens(
@@ -79,21 +80,46 @@ def fit_lens(
         The fit. Straight lines stay straight when the rectified plane is scaled, so the scale
         comes from the prior alone.
     """
-    scale = width / _REFERENCE_WIDTH
-    used = [_longest(curves, config.max_curves) for curves in curve_sets]
-    pool = [curve for curves in used for curve in curves]
-    if not pool:
+    pool = [_longest(curves, config.max_curves) for curves in curve_sets]
+    if not any(pool):
         return _failure(curve_sets, "no curve was found that could be a straight line")
-    samples = sample_curves(pool, spacing=config.spacing * scale)
+    samples = _samples(pool, width, config)
     if prior is None:
         starts = search(samples, width, height, config=config.search)
     else:
         starts = [prior.decode(np.zeros(8), width, height)]
     if start is not None:
         starts = [start.normalized(), *starts]
-    candidates = [_settle(samples, lens, config=config, prior=prior) for lens in starts]
-    best = min(candidates, key=lambda candidate: candidate.cost)
-    return _report(best, curve_sets, config=config)
+    best = _best(samples, starts, config=config, prior=prior)
+    joined = curve_sets
+    for _ in range(config.joinings):
+        joined = [join_curves(list(curves), best.camera) for curves in curve_sets]
+        samples = _samples(
+            [_longest(curves, config.max_curves) for curves in joined], width, config
+        )
+        best = _settle(samples, best.camera, config=config, prior=prior)
+    return _report(best, joined, config=config)
+
+
+def _best(
+    samples: CurveSamples,
+    starts: Sequence[KannalaBrandt],
+    *,
+    config: FitConfig,
+    prior: LensPrior | None,
+) -> _Candidate:
+    """Let the starts compete on the longest curves only; the winner settles on all of them."""
+    if len(starts) > 1:
+        few = samples.coarse(curves=config.search.curves, most=config.search.samples)
+        short = replace(config, tolerances=config.tolerances[:2])
+        trials = [_settle(few, lens, config=short, prior=prior).camera for lens in starts]
+        starts = [min(trials, key=lambda lens: _final_cost(samples, lens, config))]
+    return _settle(samples, starts[0], config=config, prior=prior)
+
+
+def _samples(pool: Sequence[Sequence[Curve]], width: int, config: FitConfig) -> CurveSamples:
+    curves = [curve for picture in pool for curve in picture]
+    return sample_curves(curves, spacing=config.spacing * width / _REFERENCE_WIDTH)
 
 
 def _longest(curves: Sequence[Curve], most: int) -> list[Curve]:
@@ -109,30 +135,40 @@ def _settle(
 ) -> _Candidate:
     """Solve in rounds; each re-weights curves by how straight the last lens made them."""
     scale = camera.width / _REFERENCE_WIDTH
-    sigma = config.sigma * scale
     belief = prior
     information = np.eye(8)
     for tolerance in config.tolerances:
         belief = prior or generic_prior(float(camera.k[0]), camera.width, camera.height)
-        shares = _curve_weights(samples, camera, tolerance * scale)
+        shares, noise = _curve_weights(samples, camera, tolerance * scale)
+        sigma = float(np.clip(noise, *(limit * scale for limit in config.sigma_range)))
         problem = _Problem(samples, belief, np.sqrt(shares)[samples.owner] / sigma, camera)
         solution = solve(
-            problem.residuals, problem.jacobian, belief.encode(camera), config=config.solver
+            problem.residuals,
+            problem.jacobian,
+            belief.encode(camera),
+            heavy=belief.heavy,
+            config=config.solver,
         )
         camera = belief.decode(solution.value, camera.width, camera.height)
         information = solution.information
     assert belief is not None
     covariance = belief.factor @ np.linalg.inv(information) @ belief.factor.T
-    return _Candidate(camera, covariance, _final_cost(samples, camera, config))
+    return _Candidate(camera, covariance)
 
 
 def _curve_weights(
     samples: CurveSamples, camera: KannalaBrandt, tolerance: float
-) -> Float[np.ndarray, " curves"]:
-    """Geman–McClure weights of whole curves: a bent thing is no line anywhere along it."""
+) -> tuple[Float[np.ndarray, " curves"], float]:
+    """Geman–McClure weights of whole curves, for a bent thing is no line anywhere along it.
+
+    Also the length-weighted median of the curves' RMS residuals.
+    """
     result = straightness(camera, samples, np.ones(len(samples.points)))
     rms = samples.curve_rms(result.residuals)
-    return 1 / (1 + (rms / tolerance) ** 2) ** 2
+    order = np.argsort(rms)
+    length = np.cumsum(samples.curve_sums(samples.spans)[order])
+    median = rms[order][np.searchsorted(length, 0.5 * length[-1])]
+    return 1 / (1 + (rms / tolerance) ** 2) ** 2, float(median)
 
 
 def _final_cost(samples: CurveSamples, camera: KannalaBrandt, config: FitConfig) -> float:

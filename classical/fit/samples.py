@@ -48,6 +48,19 @@ class CurveSamples:
         """Root mean square of the residuals of each curve."""
         return np.sqrt(self.curve_sums(residuals**2) / self.counts)
 
+    def coarse(self, *, curves: int, most: int) -> CurveSamples:
+        """The longest `curves` curves with about `most` of their samples each, evenly picked."""
+        lengths = self.curve_sums(self.spans)
+        chosen = np.sort(np.argsort(-lengths, kind="stable")[:curves])
+        picks = []
+        for first, count in zip(self.starts[chosen], self.counts[chosen], strict=True):
+            kept = min(int(count), most)
+            picks.append(first + np.round(np.linspace(0, count - 1, kept)).astype(int))
+        counts = np.array([len(pick) for pick in picks])
+        starts = np.concatenate([[0], np.cumsum(counts)[:-1]])
+        spans = np.repeat(lengths[chosen] / counts, counts)
+        return CurveSamples(self.points[np.concatenate(picks)], starts, spans)
+
 
 def sample_curves(
     curves: Sequence[Curve], *, spacing: float, least: int = 6, most: int = 24

@@ -34,11 +34,15 @@ class SearchConfig:
             1280 wide.
         evaluations: Of the objective by the local search, from each start.
         starts: Different lenses handed on.
+        curves: Longest curves that the search looks at …
+        samples: … and samples on each of them.
     """
 
     tolerance: float = 1.0
-    evaluations: int = 60
+    evaluations: int = 35
     starts: int = 3
+    curves: int = 70
+    samples: int = 8
 
 
 def projection(strength: float, b: float, width: int, height: int) -> KannalaBrandt:
@@ -56,10 +60,9 @@ def projection(strength: float, b: float, width: int, height: int) -> KannalaBra
     if b < 0:
         reach = min(reach, 0.85 * np.pi / 2 / -b)
     theta = reach * _THETA
-    if abs(b) < 1e-6:
-        radius = theta
-    else:
-        radius = np.sin(b * theta) / b if b > 0 else np.tan(b * theta) / b
+    straight = abs(b) < 1e-6
+    curved = np.sin if b > 0 else np.tan
+    radius = theta if straight else curved(b * theta) / b
     powers = theta[:, None] ** (2 * np.arange(1, 5) + 1)
     ratios = np.linalg.lstsq(powers, radius - theta, rcond=1e-8)[0]
     return KannalaBrandt.centred(strength * np.array([1.0, *ratios]), width, height)
@@ -83,7 +86,8 @@ def search(
         height: Picture height in pixels.
         config: How long to search.
     """
-    cost = _Consensus(samples, width, height, config.tolerance * width / 1280)
+    few = samples.coarse(curves=config.curves, most=config.samples)
+    cost = _Consensus(few, width, height, config.tolerance * width / 1280)
     grid = [
         (cost(np.array([np.log(f), b, 0.0, 0.0])), i, j)
         for i, f in enumerate(_STRENGTHS)

@@ -15,6 +15,7 @@ problem (Devernay & Faugeras 2001 for the idea of plumb lines; Golub & Pereyra 1
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -116,7 +117,7 @@ def _normal_derivatives(
     return np.matmul(other, along)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class _RayField:
     """ray = (A x, A y, C) at the plane's (x, y), A = sin θ / ρ and C = cos θ, with derivatives.
 
@@ -145,7 +146,7 @@ class _RayField:
         P = (cosine * slope * radius - sine) / radius**3
         return cls(camera, plane, radius, theta, reached, slope, A, P, -A * slope)
 
-    @property
+    @cached_property
     def rays(self) -> np.ndarray:
         return np.column_stack([self.plane * self.A[:, None], np.cos(self.theta)])
 
@@ -153,7 +154,7 @@ class _RayField:
     def m(self) -> np.ndarray:
         return np.array([self.camera.m_u, self.camera.m_v])
 
-    @property
+    @cached_property
     def ray_by_points(self) -> np.ndarray:
         """∂ray/∂(u, v), shape (n, 3, 2)."""
         out = np.empty((len(self.plane), 3, 2))
@@ -169,7 +170,7 @@ class _RayField:
         pull = self.P * s + n[:, 2] * self.Q
         return (self.A[:, None] * n[:, :2] + pull[:, None] * self.plane) / self.m
 
-    @property
+    @cached_property
     def overshoot(self) -> np.ndarray:
         """Distance of pixels to the circle that the lens reaches, pixels."""
         reach = self.camera.radius(np.array([self.camera.theta_max]))[0]
@@ -187,6 +188,7 @@ class _RayField:
         out[:, 8] = -direction[:, 1] * camera.m_u / camera.m_v
         return out
 
+    @cached_property
     def _by_k(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """∂A, ∂C, ∂P, ∂Q by k, each (n, 5)."""
         theta, t, radius = self.theta[:, None], self.slope[:, None], self.radius[:, None]
@@ -194,7 +196,7 @@ class _RayField:
         powers = self.camera.radius_jacobian(self.theta)
         theta_by = -powers * t
         exponents = 2 * np.arange(5) + 1
-        slope_by = exponents * powers / theta + self._curvature()[:, None] * theta_by
+        slope_by = exponents * powers / theta + self._curvature[:, None] * theta_by
         t_by = -(t**2) * slope_by
         A_by = cosine * theta_by / radius
         C_by = -sine * theta_by
@@ -204,6 +206,7 @@ class _RayField:
         Q_by = -A_by * t - self.A[:, None] * t_by
         return A_by, C_by, P_by, Q_by
 
+    @cached_property
     def _curvature(self) -> np.ndarray:
         """r''(θ), shape (n,)."""
         exponents = 2 * np.arange(1, 5) + 1
@@ -214,7 +217,7 @@ class _RayField:
         """R = P'/ρ and S = Q'/ρ, each (n,)."""
         t, radius = self.slope, self.radius
         sine, cosine = np.sin(self.theta), np.cos(self.theta)
-        t_prime = -(t**3) * self._curvature()
+        t_prime = -(t**3) * self._curvature
         P_prime = (
             (cosine * t_prime - sine * t**2) / radius**2
             - 3 * cosine * t / radius**3
@@ -224,7 +227,7 @@ class _RayField:
 
     def rays_by_camera(self) -> np.ndarray:
         """∂ray/∂(k, m_u, m_v, u0, v0), shape (n, 3, 9)."""
-        A_by, C_by, _, _ = self._by_k()
+        A_by, C_by, _, _ = self._by_k
         out = np.empty((len(self.plane), 3, 9))
         out[:, :2, :5] = self.plane[:, :, None] * A_by[:, None, :]
         out[:, 2, :5] = C_by
@@ -235,7 +238,7 @@ class _RayField:
 
     def derivatives(self, n: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """∂(n·ray)/∂camera (n, 9) and ∂(its pixel gradient)/∂camera (n, 2, 9), n held fixed."""
-        A_by, C_by, P_by, Q_by = self._by_k()
+        A_by, C_by, P_by, Q_by = self._by_k
         across, depth = n[:, :2], n[:, 2:]
         s = (across * self.plane).sum(axis=1)
         gradient = self.gradient(n)

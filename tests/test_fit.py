@@ -1,0 +1,247 @@
+"""The straightness fit on curves made from known lenses."""
+
+import numpy as np
+import pytest
+
+from classical.camera import KannalaBrandt
+from classical.fit import FitConfig, LensPrior, fit_lens, generic_prior
+from classical.fit.quality import predicted_error
+from classical.fit.samples import CurveSamples, sample_curves
+from classical.fit.search import projection
+from classical.fit.solve import solve
+from classical.fit.straightness import straightness
+from classical.lines import Curve
+
+WIDTH, HEIGHT = 640, 480
+LENS = KannalaBrandt(
+    np.array([0.75, 0.03, -0.01, 0.003, -0.0004]), 320.0, 320.0, 312.0, 247.0, WIDTH, HEIGHT
+)
+NEAR = KannalaBrandt(
+    np.array([0.85, -0.03, -0.01, 0.003, -0.0004]), 320.0, 325.0, 315.0, 246.0, WIDTH, HEIGHT
+)
+
+
+def line_pictures(
+    lens: KannalaBrandt, n_curves: int, rng: np.random.Generator, *, noise: float = 0.0
+) -> list[Curve]:
+    """Pictures of straight lines between random pixels."""
+    curves = []
+    while len(curves) < n_curves:
+        ends = rng.uniform([5, 5], [lens.width - 5, lens.height - 5], (2, 2))
+        distance = np.hypot(*(ends[1] - ends[0]))
+        if distance < 80:
+            continue
+        rays, valid = lens.unproject(ends)
+        if not valid.all():
+            continue
+        t = np.linspace(0, 1, int(distance))[:, None]
+        points, _ = lens.project(rays[:1] * (1 - t) + rays[1:] * t)
+        curves.append(Curve(points + rng.normal(0, noise, points.shape), 0.2, 1.0))
+    return curves
+
+
+def bent_things(n_curves: int, rng: np.random.Generator) -> list[Curve]:
+    """Arcs of random circles, which are no lines."""
+    curves = []
+    for _ in range(n_curves):
+        centre, radius = rng.uniform([100, 100], [540, 380]), rng.uniform(40, 150)
+        angles = rng.uniform(0, 2 * np.pi) + np.linspace(0, rng.uniform(0.8, 2.0), 80)
+        points = centre + radius * np.stack([np.cos(angles), np.sin(angles)], axis=1)
+        curves.append(Curve(points, 0.2, 1.0))
+    return curves
+
+
+def aligned_error(estimate: KannalaBrandt, truth: KannalaBrandt) -> float:
+    """Mean distance of rectified positions after the best similarity, 320 frame, up to 60°."""
+    grid = np.stack(np.meshgrid(np.arange(0, WIDTH, 8.0), np.arange(0, HEIGHT, 8.0)), -1)
+    points = grid.reshape(-1, 2)
+    true_rays, _ = truth.unproject(points)
+    rays, _ = estimate.unproject(points)
+    seen = (true_rays[:, 2] > 0.5) & (rays[:, 2] > 0.05)
+    a = 160 * (rays[seen, 0] + 1j * rays[seen, 1]) / rays[seen, 2]
+    b = 160 * (true_rays[seen, 0] + 1j * true_rays[seen, 1]) / true_rays[seen, 2]
+    design = np.stack([a, np.ones_like(a)], axis=1)
+    return float(np.abs(design @ np.linalg.lstsq(design, b, rcond=None)[0] - b).mean())
+
+
+def samples_of(lens: KannalaBrandt, *, noise: float, seed: int = 0) -> CurveSamples:
+    rng = np.random.default_rng(seed)
+    return sample_curves(line_pictures(lens, 40, rng, noise=noise), spacing=8.0)
+
+
+def test_lines_are_straight_under_their_own_lens() -> None:
+    samples = samples_of(LENS, noise=0.0)
+    result = straightness(LENS, samples, np.ones(len(samples.points)))
+    assert result.reached.all()
+    assert np.abs(result.residuals).max() < 0.05  # what binning leaves on the strongest bends
+
+
+def test_residual_is_a_distance_in_pixels() -> None:
+    """A curve moved across itself by 0.7 px at one point shows it there."""
+    rays, _ = LENS.unproject(np.array([[60.0, 60.0], [560.0, 90.0]]))
+    t = np.linspace(0, 1, 41)[:, None]
+    points, _ = LENS.project(rays[:1] * (1 - t) + rays[1:] * t)
+    tangent = points[21] - points[19]
+    normal = np.array([-tangent[1], tangent[0]]) / np.hypot(*tangent)
+    points[20] += 0.7 * normal
+    samples = CurveSamples(points, np.array([0]), np.ones(41))
+    weights = np.ones(41)
+    weights[20] = 0.0  # the bump must not move the line
+    residuals = straightness(LENS, samples, weights).residuals
+    assert abs(residuals[20]) == pytest.approx(0.7, abs=2e-3)
+    assert np.abs(np.delete(residuals, 20)).max() < 1e-3
+
+
+@pytest.mark.parametrize("parameter", range(9))
+def test_jacobian_equals_central_differences(parameter: int) -> None:
+    samples = samples_of(LENS, noise=0.3)
+    weights = np.random.default_rng(1).uniform(0.5, 1.0, len(samples.points))
+    exact = straightness(NEAR, samples, weights, jacobian=True)
+    assert exact.jacobian is not None
+    vector = NEAR.to_vector()
+    step = np.zeros(9)
+    step[parameter] = 2e-6 * max(1.0, abs(vector[parameter]))
+    sides = []
+    for sign in (1, -1):
+        moved = KannalaBrandt.from_vector(vector + sign * step, WIDTH, HEIGHT)
+        other = straightness(moved, samples, weights)
+        flip = np.sign((other.normals * exact.normals).sum(axis=1))[samples.owner]
+        sides.append(other.residuals * flip)  # an eigenvector has no sign
+    numeric = (sides[0] - sides[1]) / (2 * step[parameter])
+    scale = np.abs(numeric).max()
+    np.testing.assert_allclose(exact.jacobian[:, parameter], numeric, atol=2e-4 * scale)
+
+
+def test_pixels_out_of_reach_pull_the_lens() -> None:
+    short = KannalaBrandt.centred(np.array([0.6, -0.1, 0.0, 0.0, 0.0]), WIDTH, HEIGHT)
+    points = np.stack([np.full(20, 10.0), np.linspace(20, 460, 20)], axis=1)
+    samples = CurveSamples(points, np.array([0]), np.ones(20))
+    result = straightness(short, samples, np.ones(20), jacobian=True)
+    outside = ~result.reached
+    assert outside.any()
+    assert (result.residuals[outside] > 0).all()
+    assert result.jacobian is not None
+    assert (result.jacobian[outside, 0] < 0).all()  # a larger k1 reaches farther
+
+
+@pytest.mark.parametrize("b", [-0.5, 0.0, 0.5, 1.0])
+def test_projection_family_holds_the_classical_lenses(b: float) -> None:
+    lens = projection(0.9, b, WIDTH, HEIGHT)
+    theta = np.linspace(0.05, 1.0, 20)
+    expected = {
+        -0.5: 2 * np.tan(theta / 2),
+        0.0: theta,
+        0.5: 2 * np.sin(theta / 2),
+        1.0: np.sin(theta),
+    }[b]
+    np.testing.assert_allclose(lens.radius(theta), 0.9 * expected, rtol=2e-3)
+
+
+@pytest.mark.parametrize(("strength", "b"), [(0.7, 0.0), (0.9, 0.5), (0.6, -0.5), (1.2, 0.0)])
+def test_fit_finds_the_lens_of_noisy_lines(strength: float, b: float) -> None:
+    truth = projection(strength, b, WIDTH, HEIGHT)
+    rng = np.random.default_rng(3)
+    fit = fit_lens([line_pictures(truth, 60, rng, noise=0.3)], WIDTH, HEIGHT)
+    assert fit.status == "ok"
+    assert fit.camera is not None
+    assert aligned_error(fit.camera, truth) < 1.0
+
+
+def test_bent_things_are_outvoted() -> None:
+    rng = np.random.default_rng(4)
+    curves = line_pictures(LENS, 50, rng, noise=0.3) + bent_things(15, rng)
+    fit = fit_lens([curves], WIDTH, HEIGHT)
+    assert fit.camera is not None
+    assert aligned_error(fit.camera, LENS) < 1.5
+
+
+def test_more_pictures_of_one_lens_tell_more() -> None:
+    rng = np.random.default_rng(5)
+    pictures = [line_pictures(LENS, 12, rng, noise=0.4) for _ in range(6)]
+    alone, together = (fit_lens(sets, WIDTH, HEIGHT) for sets in (pictures[:1], pictures))
+    assert together.predicted_error_px < alone.predicted_error_px
+    assert together.camera is not None
+    assert aligned_error(together.camera, LENS) < 1.0
+    assert len(together.curves) == 6
+
+
+def test_prior_fixes_what_lines_cannot_see() -> None:
+    """Lines leave the scale open; a sure prior brings it."""
+    rng = np.random.default_rng(6)
+    curves = line_pictures(LENS, 60, rng, noise=0.2)
+    deviation = np.array([0.005, 0.02, 0.02, 0.01, 0.005, 1.0, 2.0, 8.0, 8.0])
+    prior = LensPrior(LENS.to_vector(), np.diag(deviation**2))
+    fit = fit_lens([curves], WIDTH, HEIGHT, prior=prior)
+    assert fit.camera is not None
+    assert fit.camera.k[0] == pytest.approx(LENS.k[0], rel=0.01)
+
+
+def test_prior_coordinates_round_trip() -> None:
+    prior = generic_prior(0.8, WIDTH, HEIGHT)
+    again = prior.decode(prior.encode(LENS), WIDTH, HEIGHT)
+    np.testing.assert_allclose(again.to_vector(), LENS.to_vector(), rtol=1e-10)
+
+
+def test_no_curve_is_a_failure_with_its_reason() -> None:
+    fit = fit_lens([[]], WIDTH, HEIGHT)
+    assert (fit.status, fit.camera) == ("failed", None)
+    assert "no curve" in fit.reason
+
+
+def test_two_curves_are_never_ok() -> None:
+    curves = line_pictures(LENS, 2, np.random.default_rng(7))
+    assert fit_lens([curves], WIDTH, HEIGHT).status == "failed"
+
+
+def test_radial_lines_tell_nothing() -> None:
+    """Lines through the centre stay straight under every lens, so nothing is learnt from them."""
+    t = np.linspace(-180, 180, 200)[:, None]
+    angles = np.linspace(0, np.pi, 9)[:-1]
+    centre = np.array([(WIDTH - 1) / 2, (HEIGHT - 1) / 2])
+    curves = [Curve(centre + t * [np.cos(a), np.sin(a)], 0.1, 1.0) for a in angles]
+    assert fit_lens([curves], WIDTH, HEIGHT).status != "ok"
+
+
+def test_same_curves_give_the_same_bits() -> None:
+    curves = line_pictures(LENS, 30, np.random.default_rng(8), noise=0.3)
+    first, second = (fit_lens([curves], WIDTH, HEIGHT).camera for _ in range(2))
+    assert first == second
+
+
+def test_predicted_error_ignores_similarities() -> None:
+    """Turning or moving the rectified plane is no error; a change of k1 alone mostly is."""
+    nothing = predicted_error(LENS, np.zeros((9, 9)))
+    bent = np.zeros((9, 9))
+    bent[1, 1] = 0.01**2
+    assert nothing == 0.0
+    assert predicted_error(LENS, bent) > 0.3
+
+
+def test_solver_meets_a_known_minimum_with_prior() -> None:
+    """Min (z − 3)² / redundancy + z² in one dimension."""
+    from classical.fit import SolverConfig
+
+    config = SolverConfig(loss_scale=1e6, redundancy=4.0, tolerance=1e-12)
+    solution = solve(lambda z: z - 3.0, lambda _z: np.eye(1), np.zeros(1), config=config)
+    assert solution.value[0] == pytest.approx(0.75 / 1.25, abs=1e-6)
+
+
+def test_solver_refuses_steps_without_a_camera() -> None:
+    def residuals(z: np.ndarray) -> np.ndarray:
+        if z[0] > 1.0:
+            raise ValueError("no camera there")
+        return z - 0.9
+
+    solution = solve(residuals, lambda _z: np.eye(1), np.zeros(1))
+    assert solution.value[0] <= 1.0
+
+
+def test_larger_pictures_give_the_same_lens() -> None:
+    rng = np.random.default_rng(9)
+    curves = line_pictures(LENS, 40, rng, noise=0.2)
+    double = [Curve(curve.points * 2 + 0.5, curve.sigma * 2, 1.0) for curve in curves]
+    small = fit_lens([curves], WIDTH, HEIGHT, config=FitConfig()).camera
+    large = fit_lens([double], 2 * WIDTH, 2 * HEIGHT, config=FitConfig()).camera
+    assert small is not None
+    assert large is not None
+    assert aligned_error(large.resized(WIDTH, HEIGHT), small) < 0.1
