@@ -10,6 +10,7 @@ from classical.camera import KannalaBrandt
 from classical.lines import (
     Curve,
     HeatmapCurvesConfig,
+    ImageCurvesConfig,
     curves_from_heatmap,
     curves_from_image,
     join_curves,
@@ -147,8 +148,9 @@ def test_small_pictures_are_placed_as_well():
 
 
 def test_large_pictures_are_refined_at_full_size():
-    camera = LENS.resized(1920, 1600)
-    curves = curves_from_image(picture_of_planes(NORMALS, camera))
+    camera = LENS.resized(960, 800)
+    config = ImageCurvesConfig(max_size=480)
+    curves = curves_from_image(picture_of_planes(NORMALS, camera), config=config)
     lengths = np.array([curve.length for curve in curves])
     errors = np.array([rms(curve, camera) for curve in curves])
     assert lengths @ (errors < 0.1) > 0.9 * lengths.sum()
@@ -193,22 +195,24 @@ def test_lines_inside_an_image_circle_are_kept(curves, image):
         assert np.hypot(*(curve.points.mean(axis=0) - [240.2, 199.1])) < 183
 
 
+def picture_above_parabola(rise):
+    """Bright above a parabola over the upper part of the picture, anti-aliased."""
+    v, u = np.mgrid[0:HEIGHT, 0:WIDTH].astype(float)
+    height = 70 - rise * (1 - ((u - 240) / 180) ** 2)
+    slope = 2 * rise * (u - 240) / 180**2
+    inside = np.clip((height - v) / np.hypot(1, slope) + 0.5, 0, 1)
+    inside *= np.abs(u - 240) < 180
+    return np.round(90 + 110 * inside).astype(np.uint8)
+
+
 def test_a_curve_that_bulges_towards_the_centre_is_no_line():
-    points = np.stack([np.linspace(60, 420, 361), np.zeros(361)], axis=1)
-    points[:, 1] = 70 + 30 * (1 - ((points[:, 0] - 240) / 180) ** 2)  # dips to the centre
-    image = np.full((HEIGHT, WIDTH), 90, np.uint8)
-    polygon = np.concatenate([points, [[420, 0], [60, 0]]])
-    cv2.fillPoly(image, [np.round(polygon * 16).astype(np.int32)], 200, cv2.LINE_AA, 4)
-    assert all(curve.length < 150 for curve in curves_from_image(image))
+    found = curves_from_image(picture_above_parabola(-30))
+    assert all(np.ptp(curve.points[:, 0]) < 150 for curve in found)
 
 
 def test_the_same_curve_bulging_outwards_is_kept():
-    points = np.stack([np.linspace(60, 420, 361), np.zeros(361)], axis=1)
-    points[:, 1] = 70 - 30 * (1 - ((points[:, 0] - 240) / 180) ** 2)
-    image = np.full((HEIGHT, WIDTH), 90, np.uint8)
-    polygon = np.concatenate([points, [[420, 0], [60, 0]]])
-    cv2.fillPoly(image, [np.round(polygon * 16).astype(np.int32)], 200, cv2.LINE_AA, 4)
-    assert max(curve.length for curve in curves_from_image(image)) > 250
+    found = curves_from_image(picture_above_parabola(30))
+    assert max(np.ptp(curve.points[:, 0]) for curve in found) > 300
 
 
 def test_small_discs_are_no_lines():
@@ -333,16 +337,17 @@ def test_a_heatmap_beside_the_edge_is_pulled_to_it(lines, image):
 
 
 def test_a_path_stays_on_one_side_of_a_bar():
-    image = np.full((200, 300), 80, np.uint8)
-    cv2.line(image, (20, 60), (280, 131), 200, 7, cv2.LINE_AA)
-    heat = np.zeros((100, 150), np.uint8)
-    cv2.line(heat, (10, 30), (140, 65), 255, 3, cv2.LINE_AA)
-    curves = curves_from_heatmap(heat.astype(np.float32) / 255, image)
+    v, u = np.mgrid[0:200, 0:300].astype(float)
+    distance = (v - 60 - 0.27 * (u - 20)) / np.hypot(1, 0.27)
+    bar = np.clip(2.5 - np.abs(distance), 0, 1)
+    heat = np.zeros((100, 150), np.float32)
+    cv2.line(heat, (10, 30), (140, 65), 1.0, 3, cv2.LINE_8)
+    curves = curves_from_heatmap(heat, np.round(80 + 120 * bar).astype(np.uint8))
     assert len(curves) == 1
     points = curves[0].points
-    direction = (points[-1] - points[0]) / np.linalg.norm(points[-1] - points[0])
-    across = (points - points[0]) @ [-direction[1], direction[0]]
-    assert np.ptp(across) < 1.0
+    across = (points[:, 1] - 60 - 0.27 * (points[:, 0] - 20)) / np.hypot(1, 0.27)
+    assert abs(abs(across.mean()) - 2) < 0.3
+    assert np.ptp(across) < 0.5
 
 
 def test_heat_without_edges_keeps_its_centre_line_with_its_uncertainty():

@@ -70,8 +70,8 @@ def detect_ridges(
     shift = -slope / np.minimum(across, -_TINY)
     offset = normals * shift[:, None]
     # a ridge falls off faster across than it bends along
-    ridge = (across < -_TINY) & (np.abs(offset).max(axis=1) <= _REACH)
-    ridge &= np.abs(across) > 1.5 * np.abs(half_sum + root)
+    inside = np.abs(offset).max(axis=1) <= _REACH
+    ridge = (across < -_TINY) & inside & (np.abs(across) > 1.5 * np.abs(half_sum + root))
     cells, offset, normals = cells[ridge], offset[ridge], normals[ridge]
     points = np.stack([cells % width, cells // width], axis=1) + offset
     contrast = heat.ravel()[cells].astype(np.float64)

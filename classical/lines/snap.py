@@ -32,7 +32,7 @@ class SnapConfig:
         sigma: Standard deviation of the Gaussian across the curve before differentiation.
         block: Points that share one node of the path.
         min_contrast: Smallest step of an edge, grey levels of 255.
-        full_contrast: A step from which on an edge counts in full.
+        full_contrast: Where no step reaches this, edges count for less.
         drift_cost: Cost of a path that moves one step from a node to the next.
         offset_cost: Cost at the far end of the search range.
     """
@@ -164,7 +164,7 @@ def _edge_path(slope: np.ndarray, offsets: np.ndarray, config: SnapConfig) -> np
     sums = np.add.reduceat(slope, starts, axis=0)
     members = np.diff(np.append(starts, len(slope)))
     contrast = np.abs(sums / members[:, None]) * step_per_gradient(config.sigma)
-    gain = np.minimum(contrast / config.full_contrast, 1.0)
+    gain = contrast / np.maximum(contrast.max(axis=1, keepdims=True), config.full_contrast)
     off = np.linspace(-1, 1, width) ** 2 * config.offset_cost
     table = np.zeros((count, int(blocks.max(initial=1)), width), np.float32)
     owner = np.repeat(np.arange(count), blocks)
@@ -211,7 +211,7 @@ def _refine(
     rows = np.arange(len(slope))
     magnitude = np.abs(slope)
     place = np.clip(np.round(path).astype(int), 1, width - 2)
-    for _ in range(int(np.ceil(1.0 / config.step))):  # climb by at most a pixel
+    for _ in range(int(np.ceil(1.5 / config.step))):  # climb by at most 1.5 pixels
         around = np.stack([magnitude[rows, place + d] for d in (-1, 0, 1)])
         place = np.clip(place + around.argmax(axis=0) - 1, 1, width - 2)
     before, centre, after = (np.log(magnitude[rows, place + d] + _TINY) for d in (-1, 0, 1))
