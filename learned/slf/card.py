@@ -7,6 +7,7 @@ import numpy as np
 from jaxtyping import Float, UInt8
 from numpy import ndarray
 
+from learned.slf.pack import read_rgb
 from learned.slf.suite import SuiteFolder, SuiteItem, write_png, write_whole
 
 _BINS = 16
@@ -88,7 +89,7 @@ def _histogram(values: ndarray) -> dict[str, list[float]]:
 def _drawn(folder: SuiteFolder, item: SuiteItem) -> ndarray:
     import cv2
 
-    picture = cv2.imread(str(folder.picture(item.index)))[..., ::-1]
+    picture = read_rgb(folder.picture(item.index))
     scale = _TILE / picture.shape[1]
     height = round(picture.shape[0] * scale)
     tile = cv2.resize(picture, (_TILE, height), interpolation=cv2.INTER_AREA)

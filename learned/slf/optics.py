@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import torch
 from jaxtyping import Bool, Float, Int
+from numpy import ndarray
 from torch import Tensor
 
 from learned.polynomial import radius, theta_from_radius
@@ -37,15 +38,28 @@ class Optics:
 
     def __getitem__(self, rows: Tensor) -> "Optics":
         """Some of the lenses."""
-        parts = (self.vector, self.theta_max, self.circle, self.half_height)
-        return Optics(*(part[rows] for part in parts), self.size)
+        return Optics(
+            vector=self.vector[rows],
+            theta_max=self.theta_max[rows],
+            circle=self.circle[rows],
+            half_height=self.half_height[rows],
+            size=self.size,
+        )
 
 
 def optics(lenses: LensBatch, *, size: int, device: torch.device | str = "cpu") -> Optics:
     """Move lenses to a device and give them a frame."""
-    names = ("vector", "theta_max", "circle", "half_height")
-    parts = (torch.from_numpy(getattr(lenses, name)).to(device, torch.float32) for name in names)
-    return Optics(*parts, size)
+
+    def moved(value: ndarray) -> Tensor:
+        return torch.from_numpy(value).to(device, torch.float32)
+
+    return Optics(
+        vector=moved(lenses.vector),
+        theta_max=moved(lenses.theta_max),
+        circle=moved(lenses.circle),
+        half_height=moved(lenses.half_height),
+        size=size,
+    )
 
 
 def pixel_rays(

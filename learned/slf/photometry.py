@@ -178,7 +178,8 @@ def _edged(image: Tensor, lens: Optics, rng: np.random.Generator, config: Photom
 def _noisy(image: Tensor, rng: np.random.Generator, config: PhotometryCfg) -> Tensor:
     """Signal-dependent sensor noise, cut at random places out of a bank."""
     batch, count = len(image), image[0].numel()
-    sigma = np.exp(rng.uniform(*np.log(config.noise), batch))
+    low, high = np.log(config.noise)
+    sigma = np.exp(rng.uniform(low, high, batch))
     starts = rng.integers(0, _NOISE_BANK, batch)
     bank = _noise_bank(str(image.device), _NOISE_BANK + count)
     for row, start in enumerate(starts.tolist()):

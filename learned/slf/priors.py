@@ -39,7 +39,10 @@ _SMALLEST_RELATIVE_SLOPE = 0.08
 class LensPrior(Protocol):
     """A distribution of lenses."""
 
-    name: str
+    @property
+    def name(self) -> str:
+        """What it is called."""
+        ...
 
     def sample(self, rng: np.random.Generator, n: int) -> LensBatch:
         """Draw `n` lenses."""
@@ -250,9 +253,11 @@ class WildPrior:
         return value
 
     def _frames(self) -> list[tuple[float, Frame, tuple[float, float] | None]]:
-        fitted = [(self.fitted_share * w, frame, None) for w, frame in FITTED_FRAMES]
         rest = 1.0 - self.fitted_share
-        return fitted + [(rest * w, frame, field) for w, frame, field in STANDARD_FRAMES]
+        return [
+            *((self.fitted_share * weight, frame, None) for weight, frame in FITTED_FRAMES),
+            *((rest * weight, frame, field) for weight, frame, field in STANDARD_FRAMES),
+        ]
 
     def _candidates(self, rng: np.random.Generator, n: int) -> LensBatch:
         frames = self._frames()
@@ -309,14 +314,15 @@ class WildPrior:
         if field is None:
             weights, means, covariances = _fitted_mixture()
             parts = log_normal(shape[:, None], means, covariances) + np.log(weights)
-            value = np.logaddexp.reduce(parts, axis=1)
+            value = np.logaddexp.reduce(np.nan_to_num(parts, nan=-np.inf), axis=1)
         else:
             parts = []
             for weight, f in zip(self.projection_weights, PROJECTIONS.values(), strict=True):
                 off = shape[:, None, 1:] - _standard_logs(f, theta)[:, None]
                 covariance = self._bend_covariance()[None]
                 parts.append(np.log(weight) + log_normal(off, np.zeros((1, 4)), covariance)[:, 0])
-            value = np.logaddexp.reduce(parts, axis=0) + _log_gauss(theta, *field)
+            known = np.nan_to_num(parts, nan=-np.inf)
+            value = np.logaddexp.reduce(known, axis=0) + _log_gauss(theta, *field)
         with np.errstate(invalid="ignore"):
             inside = (theta >= self.field[0]) & (theta <= self.field[1])
         return np.where(inside, value, -np.inf)

@@ -1,7 +1,7 @@
 """Sets on disk from photographs and panoramas: repeatable from a seed, resumable item by item."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from pathlib import Path
 
@@ -98,6 +98,8 @@ def make_panorama_cut(panoramas: Sequence[Path], index: int, config: SetCfg) -> 
     lenses = lens_prior(config.prior).sample(rng, 1)
     lens = optics(lenses, size=config.size)
     atlas = _panorama_atlas(path)
+    # panoramas are rarely finer than the cuts, so two rays an axis are enough
+    config = replace(config, oversampling=min(config.oversampling, 2))
     rays, valid = pixel_rays(lens, oversampling=config.oversampling)
     views, segments = _pose_with_lines(rng, atlas, lens, config)
     picture = render_views(atlas, views, rays)
