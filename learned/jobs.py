@@ -13,6 +13,7 @@ import numpy as np
 import torch
 from torch import nn
 
+from learned.assess import fit_temperature
 from learned.dlp import LinePerception
 from learned.echo import Echoed
 from learned.larecnet import LaRecNet
@@ -31,6 +32,8 @@ Target = Literal["dlp", "larecnet", "rong"]
 WEIGHTS = "weights.safetensors"
 _VALIDATION_SEED = 20_001
 _PRIOR_SAMPLES = 8000
+_OTHER_SEED = 1_000_003
+_TEMPERATURE_BATCHES = 32
 
 
 @dataclass(frozen=True)
@@ -90,6 +93,7 @@ def run_job(job: JobCfg, *, resume: bool, cpu: bool = False, progress: bool = Tr
     )
     validation = _validation(job, stream_cfg, device)
     network, phase, optim = _network(job)
+    other = replace(stream, seed=job.seed + _OTHER_SEED, batch_size=8, size=SIZE)
     average = train(
         network,
         phase,
@@ -103,6 +107,8 @@ def run_job(job: JobCfg, *, resume: bool, cpu: bool = False, progress: bool = Tr
     )
     best = averaged(network, average)
     assert isinstance(best, (LaRecNet, LinePerception, RongNet))
+    if isinstance(best, LaRecNet):
+        fit_temperature(best, (other.batch(i) for i in range(_TEMPERATURE_BATCHES)))
     scores = phase.report(best, validation)[0] if validation else {}
     path = job.folder / WEIGHTS
     save_weights(path, best, training_card(job, scores))

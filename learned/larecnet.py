@@ -45,16 +45,20 @@ class LarecnetOutput:
         estimate: All parameters in the coordinates of `Parameters`, and the backbone's features.
         heatmap: L̂_f, or None where nothing asked for it.
         lineness: How sure of a line, or None likewise.
+        rectified: I_r at the input's size over `pixel_stride`, or None where not asked for.
+        uncertainty: U_A of the same size, or None likewise.
     """
 
     k: Float[Tensor, "b 9"]
     estimate: CalibrationOutput
     heatmap: Float[Tensor, "b 1 h w"] | None
     lineness: Float[Tensor, "b 1 h w"] | None
+    rectified: Float[Tensor, "b 3 hr wr"] | None = None
+    uncertainty: Float[Tensor, "b 1 hr wr"] | None = None
 
 
 class LaRecNet(nn.Module):
-    """Fisheye picture to lens; the rectified picture follows by `rectify`.
+    """Fisheye picture to lens, and to the rectified picture where asked for.
 
     Line perception is trained before and stays fixed here: no gradients, and its batch norms keep
     their statistics in training mode too.
@@ -76,16 +80,17 @@ class LaRecNet(nn.Module):
         self.dlp.eval()
         return self
 
-    def forward(self, image: Float[Tensor, "b 3 h w"]) -> LarecnetOutput:
+    def forward(self, image: Float[Tensor, "b 3 h w"], *, rectify: bool = False) -> LarecnetOutput:
         """Estimate the lens of each picture.
 
         Args:
             image: RGB in [0, 1], height and width divide by `cfg.dlp.multiple`.
+            rectify: Give the rectified picture and its uncertainty too, for L_pix.
 
         Returns:
             Lens, parameters of all branches, heatmap.
         """
-        heatmap = lineness = features = None
+        heatmap = lineness = features = rectified = uncertainty = None
         if set(self.cfg.calibration.inputs) & {"heatmap", "features"}:
             with torch.no_grad():
                 seen = self.dlp(image)
@@ -93,29 +98,19 @@ class LaRecNet(nn.Module):
                 lineness = self.dlp.lineness(seen.raw)
                 features = seen.features
         estimate = self.calibration(image, heatmap, features)
-        return LarecnetOutput(
-            self.parameters_of_lens.decode(estimate.fused), estimate, heatmap, lineness
-        )
+        k = self.parameters_of_lens.decode(estimate.fused)
+        if rectify:
+            rectified, uncertainty = self._rectified(image, k, estimate)
+        return LarecnetOutput(k, estimate, heatmap, lineness, rectified, uncertainty)
 
-    def rectify(
-        self, image: Float[Tensor, "b 3 h w"], out: LarecnetOutput
-    ) -> tuple[Float[Tensor, "b 3 hs ws"], Float[Tensor, "b 1 hs ws"]]:
-        """I_r by the rectification layer and its uncertainty map U_A.
-
-        Args:
-            image: RGB in [0, 1].
-            out: What `forward` gave for it.
-
-        Returns:
-            rectified: I_r at the input's size over `cfg.pixel_stride`.
-            uncertainty: U_A of the same size.
-        """
-        small = image
-        if self.cfg.pixel_stride > 1:
-            small = functional.avg_pool2d(image, self.cfg.pixel_stride)
-        rectified = rectify_images(small, out.k)
-        seen = self.uncertainty(out.estimate.stages, small, rectified.detach())
-        return rectified, seen
+    def _rectified(
+        self, image: Tensor, k: Tensor, estimate: CalibrationOutput
+    ) -> tuple[Tensor, Tensor]:
+        """I_r by the rectification layer and its uncertainty map U_A."""
+        stride = self.cfg.pixel_stride
+        small = functional.avg_pool2d(image, stride) if stride > 1 else image
+        rectified = rectify_images(small, k)
+        return rectified, self.uncertainty(estimate.stages, small, rectified.detach())
 
 
 def _stage_channels(cfg: CalibrationCfg) -> tuple[int, ...]:

@@ -92,7 +92,7 @@ class RectificationPhase:
     def loss(self, module: nn.Module, batch: SlfBatch) -> tuple[Tensor, dict[str, Tensor]]:
         """λ_para L_para + λ_geo L_geo + λ_pix L_pix, and the likelihood of our covariance."""
         image = batch.image.contiguous(memory_format=torch.channels_last)
-        out: LarecnetOutput = module(image)
+        out: LarecnetOutput = module(image, rectify=self.cfg.pix > 0)
         net = _inner(module)
         parts = {"para": self._parameters(net, out, batch)}
         total = self.cfg.para * parts["para"]
@@ -100,7 +100,7 @@ class RectificationPhase:
             parts["geo"] = self._geometry(out.k, batch)
             total = total + self.cfg.geo * parts["geo"]
         if self.cfg.pix:
-            parts["pix"] = self._pixels(net, out, batch)
+            parts["pix"] = self._pixels(out, batch, net.cfg.pixel_stride)
             total = total + self.cfg.pix * parts["pix"]
         if self.cfg.nll and out.estimate.cholesky is not None:
             truth = net.parameters_of_lens.encode(batch.k)
@@ -143,11 +143,10 @@ class RectificationPhase:
             predicted, target, lines.flatten(1) > 0, valid, line_weight=self.cfg.line_weight
         )
 
-    def _pixels(self, net: LaRecNet, out: LarecnetOutput, batch: SlfBatch) -> Tensor:
-        rectified, uncertainty = net.rectify(batch.image, out)
-        stride = net.cfg.pixel_stride
+    def _pixels(self, out: LarecnetOutput, batch: SlfBatch, stride: int) -> Tensor:
+        assert out.rectified is not None
         target = functional.avg_pool2d(batch.rectified, stride) if stride > 1 else batch.rectified
-        return pixel_loss(rectified, target, uncertainty)
+        return pixel_loss(out.rectified, target, out.uncertainty)
 
     @torch.no_grad()
     def report(self, module: nn.Module, batches: Sequence[SlfBatch]) -> Report:

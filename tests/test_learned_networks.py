@@ -50,8 +50,7 @@ def test_compact_gives_full_size_maps_and_nine_parameters() -> None:
     network = LaRecNet(COMPACT.network).eval()
     image = torch.rand(2, 3, 320, 320)
     with torch.inference_mode():
-        out = network(image)
-        rectified, uncertainty = network.rectify(image, out)
+        out = network(image, rectify=True)
     assert out.heatmap is not None
     assert out.heatmap.shape == (2, 1, 320, 320)
     assert out.k.shape == (2, 9)
@@ -60,8 +59,10 @@ def test_compact_gives_full_size_maps_and_nine_parameters() -> None:
     assert out.estimate.cholesky is not None
     assert out.estimate.cholesky.shape == (2, N_FREE, N_FREE)
     assert [s.shape[-1] for s in out.estimate.stages] == [80, 40, 20, 10]
-    assert rectified.shape == (2, 3, 80, 80)
-    assert uncertainty.shape == (2, 1, 80, 80)
+    assert out.rectified is not None
+    assert out.uncertainty is not None
+    assert out.rectified.shape == (2, 3, 80, 80)
+    assert out.uncertainty.shape == (2, 1, 80, 80)
 
 
 @pytest.mark.slow
@@ -69,14 +70,14 @@ def test_paper_preset_gives_a_map_of_ten_by_ten_by_1024() -> None:
     network = LaRecNet(PAPER.network).eval()
     image = torch.rand(1, 3, 320, 320)
     with torch.inference_mode():
-        out = network(image)
+        out = network(image, rectify=True)
         seen = network.dlp(image)
-        _, uncertainty = network.rectify(image, out)
     assert seen.raw.shape == (1, 1, 320, 320)
     assert seen.features.shape == (1, 256, 80, 80)
     assert len(seen.side) == 4
     assert out.estimate.stages[-1].shape == (1, 1024, 10, 10)
-    assert uncertainty.shape == (1, 1, 320, 320)
+    assert out.uncertainty is not None
+    assert out.uncertainty.shape == (1, 1, 320, 320)
 
 
 @pytest.mark.parametrize("reading", ["conv-first", "layer4"])

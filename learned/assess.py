@@ -1,0 +1,96 @@
+"""Figures for the model card, and the honesty of the predicted covariance."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from learned.larecnet import LaRecNet
+from learned.parameters import FREE
+from learned.phases import detection_counts, reprojection_errors
+from learned.rectification import rectify_images
+from learned.slf.batch import SlfBatch
+
+_NORMAL_90 = 1.6449  # half width of the 90 % interval of a normal, in standard deviations
+
+
+@dataclass(frozen=True)
+class Assessment:
+    """What a LaRecNet does on samples with a known lens.
+
+    Attributes:
+        rpe: Mean RPE per sample, in pixels of the 320 frame, over θ ≤ 60°.
+        psnr: Of the rectified picture against the ground truth, per sample, black kept, in dB.
+        scores: Errors of the free parameters over their predicted standard deviations; empty where
+            the weights predict none.
+        counts: Hits and sizes of detection; see `detection_counts`.
+    """
+
+    rpe: Float[Tensor, " n"]
+    psnr: Float[Tensor, " n"]
+    scores: Float[Tensor, "m 8"]
+    counts: Float[Tensor, " 4"]
+
+    def summary(self) -> dict[str, float]:
+        """The figures of the model card."""
+        hit, found, seen, true = (float(c) for c in self.counts)
+        precision, recall = hit / max(1.0, found), seen / max(1.0, true)
+        out = {
+            "rpe_mean_px": float(self.rpe.mean()),
+            "rpe_median_px": float(self.rpe.median()),
+            "rpe_p90_px": float(self.rpe.quantile(0.9)),
+            "psnr_db": float(self.psnr.mean()),
+            "line_f": 2 * precision * recall / max(1e-9, precision + recall),
+            "samples": float(len(self.rpe)),
+        }
+        if len(self.scores):
+            inside = (self.scores.abs() <= _NORMAL_90).float().mean(0)
+            out["held_90"] = float(inside.mean())
+            out["held_90_lowest"] = float(inside.min())
+            out["held_90_highest"] = float(inside.max())
+        return out
+
+
+@torch.inference_mode()
+def assess(network: LaRecNet, batches: Iterable[SlfBatch]) -> Assessment:
+    """Run a network over batches with ground truth."""
+    rpe, psnr, scores = [], [], []
+    counts = torch.zeros(4, dtype=torch.float64)
+    for batch in batches:
+        out = network(batch.image.contiguous(memory_format=torch.channels_last))
+        rpe.append(reprojection_errors(out.k, batch))
+        mse = (rectify_images(batch.image, out.k) - batch.rectified).square().mean((1, 2, 3))
+        psnr.append(-10.0 * torch.log10(mse.clamp_min(1e-10)))
+        if out.estimate.cholesky is not None:
+            covariance = network.parameters_of_lens.covariance(out.estimate.cholesky)
+            sigma = torch.diagonal(covariance, dim1=1, dim2=2).sqrt()[:, FREE]
+            scores.append((batch.k - out.k)[:, FREE] / sigma)
+        if out.lineness is not None:
+            counts += torch.from_numpy(detection_counts(out.lineness > 0.5, batch.line_map > 0))
+    spread = torch.cat(scores) if scores else torch.zeros(0, len(FREE))
+    return Assessment(
+        torch.cat(rpe).float(), torch.cat(psnr).float(), spread.float(), counts.float()
+    )
+
+
+def fit_temperature(network: LaRecNet, batches: Iterable[SlfBatch]) -> float:
+    """Scale the predicted spread so that 90 % intervals hold, over all free parameters together.
+
+    Args:
+        network: Its calibration's `temperature` is set.
+        batches: Samples that are no test data.
+
+    Returns:
+        The factor by which standard deviations were multiplied.
+    """
+    found = assess(network, batches)
+    if not len(found.scores):
+        return 1.0
+    # as many parameters hold too often as too seldom: the median of their own factors
+    factor = float((found.scores.abs().quantile(0.9, dim=0) / _NORMAL_90).median())
+    network.calibration.temperature.mul_(factor)
+    return factor
