@@ -47,8 +47,10 @@ class AlemanFloresConfig:
         outer_failures: The outer loop ends after so many rounds without growth (2016).
         outer_rounds: Most rounds of the outer loop (2016).
         least_lines: Fewer lines than this that chance cannot explain are a failed estimate.
-        least_run: Unbroken run of edge points that chance cannot explain, as a share of the longer
-            side.
+        least_run: Shortest unbroken run of edge points that speaks for a line, as a share of the
+            longer side.
+        least_cover: Such runs must cover this much of a line together, as a share of the longer
+            side, or chance may explain it.
         workers: Threads that search slices of the Hough space; the result is the same for any.
     """
 
@@ -82,7 +84,8 @@ class AlemanFloresConfig:
     outer_failures: int = 3
     outer_rounds: int = 20
     least_lines: int = 4
-    least_run: float = 0.09
+    least_run: float = 0.05
+    least_cover: float = 0.09
     workers: int = 2
 
     def __post_init__(self) -> None:

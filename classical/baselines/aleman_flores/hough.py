@@ -21,6 +21,7 @@ SCORE_UNIT = 6
 
 _BLOCK_BINS = 1 << 16  # bins worked on together, so that they stay in the cache
 _WEIGHTS_SUM = 16  # of the five bins of a vote, in units of the score
+_FIRST_BAND, _BAND = 0.8, 0.6  # where bands of candidates end, relative to the last pick and band
 _MARGIN = 6  # empty distance bins at each side of a slice
 
 
@@ -75,8 +76,11 @@ def hough_search(
         ]
 
     workers = min(config.workers, len(p_values))
-    with ThreadPoolExecutor(workers) as pool:
-        shares = list(pool.map(search, range(workers)))
+    if workers == 1:
+        shares = [search(0)]
+    else:
+        with ThreadPoolExecutor(workers) as pool:
+            shares = list(pool.map(search, range(workers)))
     slices = [shares[i % workers][i // workers] for i in range(len(p_values))]
     scores = np.array([picked[2].sum() for picked in slices])
     best = int(np.argmax(scores))  # the first one on ties
@@ -114,7 +118,7 @@ class _Accumulator:
         self.step = np.deg2rad(config.angle_step_deg)
         self.footprint = _footprint(config)
         self.votes = np.zeros(0, np.uint16)
-        self.used = np.zeros(0, bool)  # all False between two slices
+        self.used = np.zeros(0, bool)
         self.last_pick = 0  # where the search for candidates of the next slice begins
 
     def maxima(
@@ -170,8 +174,9 @@ class _Accumulator:
         if self.used.size < shape[0] * shape[1]:
             self.used = np.zeros(shape[0] * shape[1], bool)
         used = self.used[: shape[0] * shape[1]].reshape(shape)
+        used.fill(False)
         picked: list[tuple[int, int, int]] = []
-        for row, column, value in _candidates(votes, self.last_pick):
+        for row, column, value in _candidates(votes, int(_FIRST_BAND * self.last_pick)):
             if used[row + half_rows, column + half_columns]:
                 continue
             picked.append((row, column, value))
@@ -179,9 +184,6 @@ class _Accumulator:
                 break
             for target, mark in self._cleared(used, row, column, votes.shape):
                 target |= mark
-        for row, column, _ in picked:
-            for target, _ in self._cleared(used, row, column, votes.shape):
-                target[:] = False
         return picked
 
     def _cleared(
@@ -205,23 +207,25 @@ def _candidates(votes: np.ndarray, guess: int) -> Iterator[tuple[int, int, int]]
     """
     flat = votes.reshape(-1)
     upper = _WEIGHTS_SUM * int(flat.max(initial=0)) + 1
-    lower = int(0.85 * guess) if 0 < 0.85 * guess < upper else upper // 4
+    lower = guess if 0 < guess < upper else upper // 4
     while upper > 1:
         lower = max(lower, 1)
-        bins = _bins_scoring(flat, lower)
-        bins = bins[_score(flat, bins) < upper]
-        bins = bins[_is_local_maximum(votes, bins)]
-        values = _score(flat, bins)
+        bins, values = _bins_scoring(flat, lower)
+        bins, values = bins[values < upper], values[values < upper]
+        bins, values = _local_maxima(votes, bins, values)
         order = np.argsort(-values, kind="stable")
         rows, columns = np.divmod(bins[order], votes.shape[1])
         yield from zip(rows.tolist(), columns.tolist(), values[order].tolist(), strict=True)
-        upper, lower = lower, lower // 2
+        upper, lower = lower, int(_BAND * lower)
 
 
-def _bins_scoring(votes: np.ndarray, least: int) -> np.ndarray:
-    """Flat bins that score at least so much; the empty margin of each row keeps rows apart."""
+def _bins_scoring(votes: np.ndarray, least: int) -> tuple[np.ndarray, np.ndarray]:
+    """Flat bins that score at least so much, and their scores.
+
+    The empty margin of each row of the slice keeps its rows apart.
+    """
     score, sides = np.empty(_BLOCK_BINS, np.uint16), np.empty(_BLOCK_BINS, np.uint16)
-    found = []
+    found, scores = [], []
     for start in range(2, votes.size - 2, _BLOCK_BINS):
         stop = min(start + _BLOCK_BINS, votes.size - 2)
         value, side = score[: stop - start], sides[: stop - start]
@@ -233,8 +237,10 @@ def _bins_scoring(votes: np.ndarray, least: int) -> np.ndarray:
         value += side
         value *= 2
         value += side
-        found.append(np.flatnonzero(value >= least) + start)
-    return np.concatenate(found)
+        high = np.flatnonzero(value >= least)
+        found.append(high + start)
+        scores.append(value[high])
+    return np.concatenate(found), np.concatenate(scores).astype(np.int64)
 
 
 def _score(votes: np.ndarray, bins: np.ndarray) -> np.ndarray:
@@ -244,20 +250,20 @@ def _score(votes: np.ndarray, bins: np.ndarray) -> np.ndarray:
     return 6 * votes[bins].astype(np.int64) + 3 * near + 2 * far
 
 
-def _is_local_maximum(votes: np.ndarray, bins: np.ndarray) -> np.ndarray:
-    """Which flat bins have a score that none of their eight neighbours exceeds."""
+def _local_maxima(
+    votes: np.ndarray, bins: np.ndarray, values: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Flat bins, and their scores, that none of their eight neighbours exceeds."""
     n_rows, n_columns = votes.shape
     flat = votes.reshape(-1)
-    rows, columns = np.divmod(bins, n_columns)
-    value = _score(flat, bins)
-    maximum = np.ones(len(bins), bool)
-    for down in (-1, 0, 1):
-        row = rows + down
-        outside = (row < 0) | (row >= n_rows)
-        base = row % n_rows * n_columns + np.where(outside, n_columns - 1 - columns, columns)
-        for right in (-1, 0, 1):
-            maximum &= value >= _score(flat, base + right)
-    return maximum
+    for down in (0, -1, 1):  # the neighbours in the same row discard most
+        for right in (-1, 1) if down == 0 else (0, -1, 1):
+            rows, columns = np.divmod(bins, n_columns)
+            outside = (rows + down < 0) | (rows + down >= n_rows)
+            columns = np.where(outside, n_columns - 1 - columns, columns)
+            keep = values >= _score(flat, (rows + down) % n_rows * n_columns + columns + right)
+            bins, values = bins[keep], values[keep]
+    return bins, values
 
 
 def _footprint(config: AlemanFloresConfig) -> np.ndarray:

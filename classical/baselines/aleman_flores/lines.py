@@ -199,11 +199,15 @@ def _merge_2016(
     for k in range(count):
         if not alive[k]:
             continue
-        for other in np.flatnonzero(alive & (facing @ facing[k] > least)):
-            if other > k and _continues(points, members[k], members[other]):
+        line = (lines.normals[k], lines.distances[k])
+        alike = alive & (facing @ facing[k] > least)
+        for other in np.flatnonzero(alike[k + 1 :]) + k + 1:
+            if _continues(points[members[k]], points[members[other]], *line):
                 members[k] = np.concatenate([members[k], members[other]])
                 labels[members[other]] = k
                 alive[other] = False
+                fitted = fit_lines(points[members[k]], np.zeros(len(members[k]), np.intp), 1)
+                line = (fitted[0][0], fitted[1][0])
     return _refitted(points, _renumbered(labels, alive), int(alive.sum()))
 
 
@@ -217,12 +221,11 @@ def _facing(normals: np.ndarray, lines: LineSet) -> np.ndarray:
     return lines.normals * np.where(balance >= 0, 1.0, -1.0)[:, None]
 
 
-def _continues(points: np.ndarray, first: np.ndarray, second: np.ndarray) -> bool:
-    """Whether the second line's points lie along the first, with a gap between the two."""
-    fitted, distance, _ = fit_lines(points[first], np.zeros(len(first), np.intp), 1)
-    off = np.abs(points[second] @ fitted[0] - distance[0])
+def _continues(first: np.ndarray, second: np.ndarray, normal: np.ndarray, distance: float) -> bool:
+    """Whether the second line's points lie along the first line, with a gap between the two."""
+    off = np.abs(second @ normal - distance)
     if off.max() > MERGE_FARTHEST or off.mean() > MERGE_MEAN:
         return False
-    along = np.array([-fitted[0][1], fitted[0][0]])
-    a, b = points[first] @ along, points[second] @ along
-    return max(b.min() - a.max(), a.min() - b.max()) > MERGE_GAP
+    along = np.array([-normal[1], normal[0]])
+    a, b = first @ along, second @ along
+    return bool(max(b.min() - a.max(), a.min() - b.max()) > MERGE_GAP)
