@@ -36,10 +36,12 @@ $(VENV)/bin/python:
 	$(PYTHON) -m venv $(VENV)
 
 $(VENV)/.installed-demo: pyproject.toml constraints.txt | $(VENV)/bin/python
+	@echo "Installing into $(VENV); the first time this downloads PyTorch and takes minutes."
 	$(PIP) -e .
 	@touch $@
 
 # The development set-up contains the demo's, so both stamps are made.
 $(VENV)/.installed-dev: pyproject.toml constraints.txt | $(VENV)/bin/python
+	@echo "Installing into $(VENV); the first time this downloads PyTorch and takes minutes."
 	$(PIP) -e '.[dev]'
 	@touch $(VENV)/.installed-demo $@

@@ -111,6 +111,8 @@ def read_camera(path: str | os.PathLike[str]) -> CameraFile:
 def _camera(fields: dict[str, Any]) -> KannalaBrandt:
     m_u, m_v, u0, v0 = (float(fields[name]) for name in _NUMBERS)
     k = np.array(fields["k"], dtype=np.float64)
+    if k.shape != (5,):
+        raise ValueError(f"expected k of shape (5,), got {k.shape}")
     return KannalaBrandt(k, m_u, m_v, u0, v0, int(fields["width"]), int(fields["height"]))
 
 
