@@ -15,6 +15,7 @@ from classical.lines import (
     curves_from_image,
     join_curves,
 )
+from classical.lines.circle import fit_circles
 from classical.lines.joining import sampson_rays
 from classical.lines.smooth import SmoothConfig, fit_arcs, smooth_arcs
 
@@ -184,6 +185,28 @@ def test_the_border_of_an_image_circle_is_no_curve():
     image = np.where(radius < 185, 130, 4).astype(np.uint8)
     image = cv2.GaussianBlur(image, (0, 0), 1.0)
     assert curves_from_image(image) == []
+
+
+def test_a_bright_surround_hides_no_border():
+    v, u = np.mgrid[0:HEIGHT, 0:WIDTH]
+    image = np.where(np.hypot(u - 236, v - 203) < 170, 60, 150).astype(np.uint8)
+    assert curves_from_image(cv2.GaussianBlur(image, (0, 0), 1.0)) == []
+
+
+def test_the_frame_of_the_picture_is_no_curve():
+    image = np.full((HEIGHT, WIDTH), 120, np.uint8)
+    image[:2] = image[-2:] = 0
+    image[:, :1] = image[:, -2:] = 255
+    assert curves_from_image(image) == []
+
+
+def test_circles_through_many_points_are_fitted():
+    angle = np.linspace(0, 1, 100)
+    first = 50 * np.stack([np.cos(angle), np.sin(angle)], axis=1) + [3, 4]
+    second = 90 * np.stack([np.cos(2 + angle), np.sin(2 + angle)], axis=1) - [7, 0]
+    centres, radii = fit_circles(np.concatenate([first, second]), np.array([0, 100, 200]))
+    assert np.allclose(centres, [[3, 4], [-7, 0]], atol=1e-4)
+    assert np.allclose(radii, [50, 90], atol=1e-4)
 
 
 def test_lines_inside_an_image_circle_are_kept(curves, image):

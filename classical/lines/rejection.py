@@ -7,11 +7,13 @@ the image circle obeys this too, so it is told by the dark or even surround beyo
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import cv2
 import numpy as np
 from jaxtyping import Bool, Float, Int
+
+from classical.lines.circle import CircleConfig
 
 _MASK_SIZE = 400  # longest side of the picture in which the surround is sought, pixels
 
@@ -27,8 +29,9 @@ class RejectionConfig:
         excess_bend: Bends up to this many times that of the strongest lens are let pass.
         slack: Bend in the wrong direction that is let pass, pixels, …
         slack_per_length: … plus this share of the chord.
-        frame: Width of the zone along the picture's frame, pixels.
         rim: Width of the zone around the border of the image circle, as a share of its radius.
+        frame: Width of the zone along the picture's frame, pixels.
+        circle: What counts as the border of an image circle.
     """
 
     centre_shift: float = 0.1
@@ -38,6 +41,7 @@ class RejectionConfig:
     slack_per_length: float = 0.004
     rim: float = 0.02
     frame: float = 4.0
+    circle: CircleConfig = field(default_factory=CircleConfig)
 
 
 @dataclass(frozen=True)

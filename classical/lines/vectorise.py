@@ -14,6 +14,7 @@ import numpy as np
 from jaxtyping import Float, UInt8
 
 from classical.lines.chains import link_points
+from classical.lines.circle import on_border_circle
 from classical.lines.continuation import ContinuationConfig, continue_arcs
 from classical.lines.curve import Curve
 from classical.lines.edges import EdgeConfig, EdgePoints, detect_edges
@@ -266,6 +267,7 @@ def _plausible(arcs: _Arcs, work: np.ndarray, config: RejectionConfig) -> _Arcs:
     surround = find_surround(work)
     reject = beside_surround(arcs.points, arcs.offsets, surround, config=config)
     reject |= beside_frame(arcs.points, arcs.offsets, width, height, config=config)
+    reject |= on_border_circle(arcs.points, arcs.offsets, width, height, config=config.circle)
     reject |= impossible_bend(
         arcs.points, arcs.offsets, width, height, surround.radius, config=config
     )
