@@ -11,8 +11,8 @@ import click
 from tqdm import tqdm
 
 from eval.cases import Suite
-from eval.folder import RunFolder, claim_folder
-from eval.methods import METHODS, parse_methods
+from eval.folder import RunFolder, claim_folder, origin
+from eval.methods import METHODS, Method, parse_methods
 from eval.open_suite import open_suite
 
 _ALL = ",".join(method.tag for method in METHODS)
@@ -67,28 +67,44 @@ def evaluate(
         chosen = parse_methods(methods)
     except ValueError as error:
         raise click.UsageError(str(error)) from error
-    settings: dict[str, Any] = {"seed": seed}
+    from eval.predict import settings_of
+
+    settings = {method: settings_of(method, seed=seed) for method in chosen}
     for path in suites:
         suite = open_suite(path, min_bend=min_bend, every=every)
         folder = RunFolder(out / suite.name)
         if restart and folder.config.is_file():
             shutil.rmtree(folder.root)
-        claim_folder(folder, suite, dict.fromkeys(chosen, settings))
-        _run(suite, folder, dict.fromkeys(chosen, settings), workers)
+        claim_folder(folder, suite, settings)
+        _say_if_older(folder)
+        _run(suite, folder, settings, workers)
 
 
-def _run(suite: Suite, folder: RunFolder, methods: dict[Any, dict[str, Any]], workers: int) -> None:
+def _say_if_older(folder: RunFolder) -> None:
+    """Answers of older code are kept, so that a run can go on; the user should know."""
+    origins = folder.read_config()["origins"]
+    now = origin()["commit"]
+    older = {tag: of["commit"] for tag, of in origins.items() if of["commit"] != now}
+    if older:
+        listed = ", ".join(f"{tag} of {commit or 'unknown'}" for tag, commit in older.items())
+        click.echo(f"note: {folder.root} keeps answers of other commits ({listed})", err=True)
+
+
+def _run(
+    suite: Suite, folder: RunFolder, methods: dict[Method, dict[str, Any]], workers: int
+) -> None:
     """Both loops and the pictures for the report, with progress on stderr."""
-    from eval.gallery import write_gallery
-    from eval.predict import predict_suite
+    from eval.gallery import network_lines, write_gallery
+    from eval.predict import pending, predict_suite
     from eval.score import score_suite
 
     answers = predict_suite(suite, methods, folder, workers=workers)
     _progress(f"{suite.name}: estimate", answers)
-    every_method = [method for method in METHODS if method.tag in folder.read_config()["methods"]]
-    scores = score_suite(suite.cases, suite.theta_max, every_method, folder, workers=workers)
+    complete = [method for method in METHODS if not pending(suite, {method: {}}, folder)]
+    scores = score_suite(suite.cases, suite.theta_max, complete, folder, workers=workers)
     _progress(f"{suite.name}: score", scores)
-    write_gallery(suite, folder)
+    uses_network = any(method.tag in ("learned", "hybrid") for method in complete)
+    write_gallery(suite, folder, heatmap=network_lines() if uses_network else None)
 
 
 def _progress(title: str, steps: Iterator[tuple[int, int]]) -> None:

@@ -81,17 +81,14 @@ def claim_folder(
         "format": _FORMAT,
         "suite": _suite_record(suite),
         "methods": {method.tag: dict(settings) for method, settings in methods.items()},
-        "origin": origin(),
+        "origins": dict.fromkeys((method.tag for method in methods), origin()),
     }
     config = json.loads(json.dumps(config, sort_keys=True))
     if folder.config.is_file():
         saved = folder.read_config()
         _refuse_differences(saved, config, folder.root)
-        config["methods"] = saved["methods"] | config["methods"]
-        for tag in methods:
-            (folder.root / "predictions" / tag.tag).mkdir(parents=True, exist_ok=True)
-        if config["methods"] == saved["methods"]:
-            return saved
+        for key in ("methods", "origins"):  # what is there keeps its origin
+            config[key] = config[key] | saved[key]
     for method in methods:
         (folder.root / "predictions" / method.tag).mkdir(parents=True, exist_ok=True)
     (folder.root / "scores").mkdir(parents=True, exist_ok=True)

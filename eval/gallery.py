@@ -1,7 +1,7 @@
 """Pictures for the report: cases chosen by rule, shown in the layout of the paper's figures."""
 
 import json
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 
 import cv2
@@ -9,11 +9,13 @@ import numpy as np
 from jaxtyping import Float, UInt8
 from numpy import ndarray
 
+from classical.camera import KannalaBrandt
 from classical.files import atomic_path
 from eval.cases import Case, Suite
+from eval.doubt import expected_error
 from eval.folder import RunFolder
 from eval.frame import Resampled, best_similarity, rectify_picture
-from eval.metrics import rectified
+from eval.metrics import FRAME_WIDTH, rectified
 from eval.prediction import Prediction
 from eval.score import Truth
 from eval.summary import MethodScores, SuiteScores, load_scores
@@ -21,6 +23,9 @@ from eval.summary import MethodScores, SuiteScores, load_scores
 SHOWN = 2
 """Pictures of each kind: best, median, worst."""
 
+LineSource = Callable[[UInt8[ndarray, "h w 3"]], Float[ndarray, "h w"]]
+
+_WORST_SHOWN = 10.0  # pixels; larger expected errors look like it
 _SIDE = 240  # width of a picture in the report, pixels
 _QUALITY = 82
 _INLIER, _OUTLIER, _TRUE = (0, 114, 178), (213, 94, 0), (0, 158, 115)  # Okabe–Ito, RGB
@@ -75,10 +80,15 @@ def choose(errors: Float[ndarray, " n"], names: Sequence[str]) -> list[tuple[int
     return sorted(chosen.items(), key=lambda item: (kinds.index(item[1]), order.index(item[0])))
 
 
-def write_gallery(suite: Suite, folder: RunFolder) -> None:
+def write_gallery(suite: Suite, folder: RunFolder, *, heatmap: LineSource | None = None) -> None:
     """Choose cases by the primary method's aligned error and write their pictures.
 
     Real suites get, besides, the median case of each camera. `index.json` says what is where.
+
+    Args:
+        suite: The test set.
+        folder: Where its answers and scores are, and the pictures go.
+        heatmap: Gives the bent lines of a photograph in [0, 1], to be shown; see `network_lines`.
     """
     scores = load_scores(folder)
     errors = scores.primary.values("aligned", "rpe")
@@ -88,7 +98,9 @@ def write_gallery(suite: Suite, folder: RunFolder) -> None:
     folder.gallery.mkdir(exist_ok=True)
     cases = {case.name: case for case in suite.cases}
     rows = [
-        _write_row(cases[scores.names[index]], kind, index, suite.theta_max, scores, folder)
+        _write_row(
+            cases[scores.names[index]], kind, index, suite.theta_max, scores, folder, heatmap
+        )
         for index, kind in picks
     ]
     record = {"by": scores.primary.method.full_name, "rows": [asdict(row) for row in rows]}
@@ -107,7 +119,13 @@ def _medians(errors: Float[ndarray, " n"], scores: SuiteScores) -> list[tuple[in
 
 
 def _write_row(
-    case: Case, kind: str, index: int, theta_max: float, scores: SuiteScores, folder: RunFolder
+    case: Case,
+    kind: str,
+    index: int,
+    theta_max: float,
+    scores: SuiteScores,
+    folder: RunFolder,
+    heatmap: LineSource | None,
 ) -> Row:
     """Write all pictures of one case."""
     truth = Truth(case, theta_max)
@@ -124,15 +142,48 @@ def _write_row(
         pictures.append(_save_answer(folder, truth, answers[row.method.tag], row, index))
     text = "Rectified by the true camera"
     pictures.append(_save(folder, case, "truth", truth.straight, "Ground truth", text))
+    maps = _doubt_maps(folder, case, scores, answers)
+    if heatmap is not None:
+        maps.insert(0, _heatmap(folder, truth, heatmap))
+    return Row(case.name, case.group, kind, tuple(pictures), tuple(maps))
+
+
+def _doubt_maps(
+    folder: RunFolder, case: Case, scores: SuiteScores, answers: dict[str, Prediction]
+) -> list[Picture]:
+    """The expected error over the rectified frame, for each method that knows it."""
     maps = []
     for row in scores.methods:
-        for name, words in (("heatmap", "bent lines seen"), ("uncertainty", "doubt")):
-            values = getattr(answers[row.method.tag], name)
-            if values is not None:
-                title = f"{row.method.full_name}: {words}"
-                tag = f"{row.method.tag}-{name}"
-                maps.append(_save(folder, case, tag, _colored(values), title, title))
-    return Row(case.name, case.group, kind, tuple(pictures), tuple(maps))
+        answer = answers[row.method.tag]
+        if answer.covariance is None or not isinstance(answer.camera, KannalaBrandt):
+            continue
+        error = expected_error(answer.camera, answer.covariance)
+        share = np.clip(np.nan_to_num(error) / _WORST_SHOWN, 0, 1)
+        picture = _colored(np.round(255 * share).astype(np.uint8))
+        picture[np.isnan(error)] = 0
+        typical = float(np.nanmedian(error)) if np.isfinite(error).any() else float("nan")
+        title = f"{row.method.full_name}: expected error, 0 (dark) to {_WORST_SHOWN:g} px (bright)"
+        alt = f"{title}; median {typical:.1f} px"
+        maps.append(_save(folder, case, f"{row.method.tag}-doubt", picture, title, alt))
+    return maps
+
+
+def _heatmap(folder: RunFolder, truth: Truth, lines: LineSource) -> Picture:
+    """Bent lines as the network sees them, on the photograph at 320 px."""
+    picture = _colored(np.round(255 * np.clip(lines(truth.photo), 0, 1)).astype(np.uint8))
+    title = "Bent lines seen by the network, brighter for longer ones"
+    return _save(folder, truth.case, "heatmap", picture, title, title)
+
+
+def network_lines() -> LineSource | None:
+    """The line perception of the weights that ship; `None` where none ship."""
+    from learned.predictor import Predictor
+
+    try:
+        predictor = Predictor.from_weights()
+    except FileNotFoundError:
+        return None
+    return lambda picture: predictor.lines(picture, longest=FRAME_WIDTH).heatmap
 
 
 def _save_answer(

@@ -10,6 +10,7 @@ from jaxtyping import Float
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy import ndarray
+from scipy.stats import rankdata
 
 from eval.lines import THRESHOLDS, MatchCounts
 from eval.methods import Method
@@ -91,6 +92,29 @@ def error_by_fov(
     return figure
 
 
+def trust(
+    rows: Sequence[tuple[Method, Float[ndarray, " n"], Float[ndarray, " n"]]],
+) -> Figure:
+    """True against expected error of each photograph, with their rank correlation."""
+    figure, axes = _axes("Expected error (px)", "True error, protocol 1 (px)")
+    lows, highs = [], []
+    for method, expected, true in rows:
+        known = np.isfinite(expected)
+        x, y = np.maximum(expected[known], 0.05), np.maximum(true[known], 0.05)
+        rank = np.corrcoef(rankdata(x), rankdata(y))[0, 1] if _varied(x, y) else np.nan
+        label = f"{method.full_name} (rank correlation {rank:.2f})"
+        axes.scatter(x, y, s=16, color=method.color, alpha=0.7, label=label, linewidths=0)
+        lows.append(min(x.min(), y.min()))
+        highs.append(max(x.max(), y.max()))
+    span = (min(lows) / 1.3, max(highs) * 1.3)
+    axes.plot(span, span, color=_INK, linewidth=0.8, linestyle=":")
+    axes.set(xscale="log", yscale="log", xlim=span, ylim=span)
+    for vertical in (False, True):
+        _plain_ticks(axes, [0.1, 0.3, 1, 3, 10, 30, 100, 300], vertical=vertical)
+    _legend(axes)
+    return figure
+
+
 def seconds(times: Sequence[tuple[Method, Float[ndarray, " n"]]]) -> Figure:
     """Time of an estimate: a bar to the median, a whisker to the 90th percentile."""
     shown = [(method, values) for method, values in times if np.median(values) > 1e-3]
@@ -136,6 +160,11 @@ def _axes(x_label: str, y_label: str) -> tuple[Figure, Axes]:
         axes = figure.add_subplot()
         axes.set(xlabel=x_label, ylabel=y_label)
     return figure, axes
+
+
+def _varied(*columns: Float[ndarray, " n"]) -> bool:
+    """True where a rank correlation has a meaning."""
+    return all(len(values) > 2 and np.ptp(values) > 0 for values in columns)
 
 
 def _look(method: Method, index: int) -> dict[str, Any]:

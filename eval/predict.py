@@ -1,5 +1,6 @@
 """Loop one: every method on every photograph, to disk."""
 
+import hashlib
 import time
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
@@ -8,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jaxtyping import UInt8
+from jaxtyping import Float64, UInt8
 from numpy import ndarray
 
 from classical.camera import Division, KannalaBrandt
@@ -23,7 +24,7 @@ Settings = tuple[tuple[str, Any], ...]
 Factory = Callable[[str, Settings], Predictor]
 """Makes the predictor of a method from its tag and settings; called once a process and method."""
 
-_MAP_SIDE = 160  # longest side of a heatmap kept for the report
+_WEIGHTS = {"rong": "rong-compact", "learned": "compact", "hybrid": "compact"}
 
 
 @dataclass(frozen=True)
@@ -98,18 +99,39 @@ def _predictor(factory: Factory, tag: str, settings: Settings) -> Predictor:
     return factory(tag, settings)
 
 
+def settings_of(method: Method, *, seed: int) -> dict[str, Any]:
+    """The settings of one of the project's methods, with a checksum of the weights it uses.
+
+    Raises:
+        ValueError: If there is no such method.
+        FileNotFoundError: If its weights are not there.
+    """
+    settings: dict[str, Any] = {"seed": seed}
+    if method == IDENTITY:
+        return settings
+    from hybrid import RectifyConfig
+
+    RectifyConfig(method=method.tag, seed=seed)  # refuses what it does not know
+    if name := _WEIGHTS.get(method.tag):
+        from learned.weights import packaged
+
+        settings["weights"] = hashlib.sha256(packaged(name).read_bytes()).hexdigest()[:16]
+    return settings
+
+
 def project_method(tag: str, settings: Settings) -> Predictor:
     """The predictor of one of the project's methods, through the public `Rectifier`.
 
     Args:
         tag: `method` of `RectifyConfig`.
-        settings: Further fields of `RectifyConfig`.
+        settings: Further fields of `RectifyConfig`; the checksum of the weights is for the record.
     """
     if tag == IDENTITY.tag:
         return _leave_alone
     from hybrid import Rectifier, RectifyConfig
 
-    return partial(_ask, Rectifier(RectifyConfig(method=tag, **dict(settings))))
+    options = {name: value for name, value in settings if name != "weights"}
+    return partial(_ask, Rectifier(RectifyConfig(method=tag, **options)))
 
 
 def _leave_alone(picture: UInt8[ndarray, "h w 3"]) -> Prediction:
@@ -128,19 +150,10 @@ def _ask(rectifier: Any, picture: UInt8[ndarray, "h w 3"]) -> Prediction:
         predicted_error_px=found.quality.predicted_error_px,
         curves=tuple(np.asarray(curve.points, dtype=np.float32) for curve in curves),
         inlier=np.array([curve.inlier for curve in curves], dtype=bool),
-        heatmap=_small_map(getattr(found, "heatmap", None)),
-        uncertainty=_small_map(getattr(found, "uncertainty", None)),
+        covariance=_known(found.quality.covariance),
     )
 
 
-def _small_map(values: Any) -> UInt8[ndarray, "h w"] | None:
-    """A map as 8 bits of at most 160 px a side; values in [0, 1], others by their range."""
-    if values is None:
-        return None
-    array = np.asarray(values, dtype=np.float64).squeeze()
-    step = max(1, -(-max(array.shape) // _MAP_SIDE))
-    rows, columns = (side // step * step for side in array.shape)
-    blocks = array[:rows, :columns].reshape(rows // step, step, columns // step, step)
-    small = blocks.max(axis=(1, 3))
-    low, high = min(0.0, float(small.min())), max(1.0, float(small.max()))
-    return np.round(255 * (small - low) / (high - low)).astype(np.uint8)
+def _known(covariance: Float64[ndarray, "9 9"]) -> Float64[ndarray, "9 9"] | None:
+    """A covariance, or `None` for the zeros that stand for an unknown one."""
+    return covariance if np.any(covariance) else None

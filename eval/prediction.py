@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jaxtyping import Bool, Float32, UInt8
+from jaxtyping import Bool, Float32, Float64
 from numpy import ndarray
 
 from classical.camera import Division, KannalaBrandt
@@ -29,8 +29,7 @@ class Prediction:
         predicted_error_px: The error that the method itself expects; NaN where it does not say.
         curves: Bent lines that it used, pixels of the photograph, shape (n, 2) each.
         inlier: For each curve, whether the answer makes it straight.
-        heatmap: Probability of bent lines, 0 to 255, or `None`.
-        uncertainty: The network's own map of doubt, 0 to 255, or `None`.
+        covariance: Of `camera.to_vector()`, or `None` where the method does not say.
     """
 
     camera: Estimate | None
@@ -40,8 +39,7 @@ class Prediction:
     predicted_error_px: float = float("nan")
     curves: tuple[Float32[ndarray, "_ 2"], ...] = ()
     inlier: Bool[ndarray, " c"] | None = None
-    heatmap: UInt8[ndarray, "h w"] | None = None
-    uncertainty: UInt8[ndarray, "h2 w2"] | None = None
+    covariance: Float64[ndarray, "9 9"] | None = None
 
     @property
     def failed(self) -> bool:
@@ -63,7 +61,7 @@ class Prediction:
             "points": np.concatenate([np.zeros((0, 2)), *self.curves]).astype(np.float32),
             "counts": np.array([len(curve) for curve in self.curves], dtype=np.int32),
         }
-        optional = {"inlier": self.inlier, "heatmap": self.heatmap, "uncertainty": self.uncertainty}
+        optional = {"inlier": self.inlier, "covariance": self.covariance}
         arrays |= {name: array for name, array in optional.items() if array is not None}
         with atomic_path(path) as temporary, temporary.open("wb") as file:
             np.savez_compressed(file, **arrays)  # pyright: ignore[reportArgumentType]
@@ -80,7 +78,7 @@ class Prediction:
             if record.get("format") != _FORMAT:
                 raise ValueError(f"expected format {_FORMAT} in {path}, got {record.get('format')}")
             curves = np.split(data["points"], np.cumsum(data["counts"]))[:-1]
-            maps = {name: data.get(name) for name in ("inlier", "heatmap", "uncertainty")}
+            optional = {name: data.get(name) for name in ("inlier", "covariance")}
         return cls(
             camera=camera_from_record(record["camera"]),
             status=record["status"],
@@ -88,7 +86,7 @@ class Prediction:
             seconds=record["seconds"],
             predicted_error_px=record["predicted_error_px"],
             curves=tuple(curves),
-            **maps,
+            **optional,
         )
 
 

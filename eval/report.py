@@ -94,6 +94,7 @@ def _suite_page(suite: SuiteScores, folder: RunFolder, *, show: bool) -> dict[st
         "anchor": _anchor(suite.name),
         "config": suite.config,
         "settings": _settings(suite),
+        "origins": _origins(suite),
         "n": len(suite.names),
         "fov": f"{suite.fov.min():.0f}° to {suite.fov.max():.0f}°",
         "tables": [
@@ -148,6 +149,14 @@ def _figures(suite: SuiteScores) -> Iterator[dict[str, str]]:
     if np.ptp(suite.fov) > 5:
         caption = f"Aligned error against field of view on {suite.name}"
         yield _figure(plots.error_by_fov(errors, suite.fov), caption)
+    trust = [
+        (row.method, row.values("predicted_error_px"), row.values("paper", "rpe"))
+        for row in suite.methods
+        if np.isfinite(row.values("predicted_error_px")).any()
+    ]
+    if trust:
+        caption = f"Error that a method expects of itself, against its true error, on {suite.name}"
+        yield _figure(plots.trust(trust), caption)
     times = [(row.method, row.values("seconds")) for row in suite.methods]
     if any(np.median(values) > 1e-3 for _, values in times):
         yield _figure(plots.seconds(times), f"Time of an estimate on {suite.name}")
@@ -180,6 +189,19 @@ def _failures(suite: SuiteScores) -> list[tuple[str, list[tuple[str, int]]]]:
         if counted:
             ordered = sorted(counted.items(), key=lambda item: -item[1])[:5]
             listed.append((row.method.full_name, ordered))
+    return listed
+
+
+def _origins(suite: SuiteScores) -> list[dict[str, Any]]:
+    """Where numbers come from; methods of one origin together."""
+    listed: list[dict[str, Any]] = []
+    for row in suite.methods:
+        found = suite.config["origins"][row.method.tag]
+        same = next((o for o in listed if {**o, "names": ""} == {**found, "names": ""}), None)
+        if same is None:
+            listed.append({**found, "names": row.method.full_name})
+        else:
+            same["names"] += f", {row.method.full_name}"
     return listed
 
 

@@ -76,7 +76,9 @@ def overview(suites: Sequence[SuiteScores]) -> Table:
             method.full_name,
             method.color,
             tuple(
-                _mark(found.get((suite.name, method), math.nan), best[suite.name])
+                _mark(
+                    found.get((suite.name, method), math.nan), best[suite.name], len(suite.methods)
+                )
                 for suite in suites
             ),
         )
@@ -116,9 +118,9 @@ def _best_rows(column: Column, values: Float[ndarray, " m"]) -> set[int]:
     return {index for index, value in enumerate(values) if _text(value, column.form) == text}
 
 
-def _mark(value: float, best: float) -> Cell:
+def _mark(value: float, best: float, n: int) -> Cell:
     text = _text(value, ".2f")
-    return Cell(text, text != _DASH and text == _text(best, ".2f"))
+    return Cell(text, n > 1 and text != _DASH and text == _text(best, ".2f"))
 
 
 def _text(value: float | None, form: str) -> str:

@@ -69,8 +69,8 @@ def scores(folder: RunFolder, tag: str) -> dict:
 def test_a_prediction_survives_the_disk(tmp_path):
     curves = tuple(line.astype(np.float32) for line in LINES)
     inlier = np.array([True, False, True])
-    heatmap = np.arange(12, dtype=np.uint8).reshape(3, 4)
-    before = Prediction(CAMERA, "degraded", "few lines", 0.1, 2.5, curves, inlier, heatmap)
+    covariance = np.diag(np.arange(9.0))
+    before = Prediction(CAMERA, "degraded", "few lines", 0.1, 2.5, curves, inlier, covariance)
     before.save(tmp_path / "a.npz")
     after = Prediction.load(tmp_path / "a.npz")
     assert after.camera == CAMERA
@@ -78,9 +78,8 @@ def test_a_prediction_survives_the_disk(tmp_path):
     assert all(np.array_equal(a, b) for a, b in zip(after.curves, curves, strict=True))
     assert after.inlier is not None
     assert after.inlier.tolist() == inlier.tolist()
-    assert after.heatmap is not None
-    assert after.heatmap.tolist() == heatmap.tolist()
-    assert after.uncertainty is None
+    assert after.covariance is not None
+    assert after.covariance.tolist() == covariance.tolist()
 
 
 def test_a_division_camera_survives_the_disk(tmp_path):
