@@ -14,7 +14,8 @@ from torch import Tensor
 from torch.nn import functional
 
 OMEGA = (0.1, 0.1, 0.5, 1.0, 1.0, 0.1, 0.1, 0.1, 0.1)
-_SMALLEST_UNCERTAINTY = 1e-3
+# black borders have no error: unclamped, U_A falls to 0 there and drowns every other gradient
+_SMALLEST_UNCERTAINTY = 0.1
 
 
 @dataclass(frozen=True)

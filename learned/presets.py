@@ -53,7 +53,7 @@ PAPER = Preset(name="paper")
 # The same parts, narrower. Differences from the paper, each because it learns more per second on a
 # CPU: patch stem and pixel-shuffle head, lineness besides length, line perception's last features
 # and pixel coordinates as further inputs of the calibration, regression in whitened coordinates
-# (so ω is 1), L_geo on every fourth pixel, L_pix at half size, AdamW.
+# (where ω says how much each moves pixels), L_geo on every fourth pixel, L_pix at half size, AdamW.
 COMPACT = Preset(
     name="compact",
     network=LarecnetCfg(
@@ -81,7 +81,14 @@ COMPACT = Preset(
         uncertainty_width=8,
         pixel_stride=4,
     ),
-    loss=LossCfg(geo=10.0, pix=1.0, para=0.3, omega=(1.0,) * 9, nll=0.3, huber=1.0),
+    loss=LossCfg(
+        geo=10.0,
+        pix=0.2,
+        para=0.3,
+        omega=(1.0, 0.8, 0.5, 0.4, 0.4, 0.0, 0.5, 0.8, 0.8),
+        nll=0.3,
+        huber=1.0,
+    ),
     optim_dlp=OptimCfg(
         kind="adamw", rate=2e-3, schedule="trapezoid", warmup=100, weight_decay=0.02, average=0.998
     ),
