@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 
 from classical.camera import KannalaBrandt
 
@@ -35,13 +35,10 @@ class LensPrior:
     Attributes:
         mean: Mean vector, shape (9,).
         covariance: Covariance, shape (9, 9); the row of m_u is ignored.
-        heavy_tails: Whether aspect and principal point may lie far from the mean after all, as in
-            pictures that were cropped or squeezed.
     """
 
     mean: Float[np.ndarray, " 9"]
     covariance: Float[np.ndarray, "9 9"]
-    heavy_tails: bool = False
 
     def __post_init__(self) -> None:
         if self.mean.shape != (9,) or self.covariance.shape != (9, 9):
@@ -67,11 +64,6 @@ class LensPrior:
         out = np.zeros((9, len(FREE)))
         out[FREE] = root
         return out
-
-    @property
-    def heavy(self) -> Bool[np.ndarray, " 8"]:
-        """Coordinates of z with heavy tails."""
-        return self.heavy_tails & (np.arange(len(FREE)) >= 5)
 
     def encode(self, camera: KannalaBrandt) -> Float[np.ndarray, " 8"]:
         """The z of a camera: how many deviations it lies from the mean."""
@@ -113,4 +105,4 @@ def generic_prior(strength: float, width: int, height: int) -> LensPrior:
     along_strength = np.zeros(9)
     along_strength[:5] = mean[:5] * _LOG_STRENGTH_DEVIATION
     covariance = np.diag(deviation**2) + np.outer(along_strength, along_strength)
-    return LensPrior(mean, covariance, heavy_tails=True)
+    return LensPrior(mean, covariance)

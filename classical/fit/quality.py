@@ -64,7 +64,7 @@ def _similarities(positions: np.ndarray) -> np.ndarray:
 _FEWEST_CURVES = 4
 _LEAST_LENGTH = 1.0  # total length of straight curves, picture widths
 _LEAST_SHARE = 0.35  # of the curves' length
-_LARGEST_ERROR = 1.5  # predicted, px of the 320 frame
+_LARGEST_ERROR = 3.0  # predicted, px of the 320 frame
 _HOPELESS_ERROR = 20.0
 
 

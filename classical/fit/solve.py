@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 from scipy.optimize import least_squares
 
 _IMPOSSIBLE = 1e3  # residual of a parameter vector that is no camera; such a step is rejected
@@ -40,15 +40,12 @@ class SolverConfig:
         loss_scale: Residuals beyond this many standard deviations lose weight (Cauchy).
         redundancy: So many residuals tell as much as one independent one: neighbouring samples
             of a line share their errors, so the data must not count each of them against the prior.
-        prior_scale: Prior residuals beyond this lose weight (Cauchy) where the prior is said to
-            have heavy tails.
         tolerance: Relative change of cost, parameters and gradient at which to stop.
         max_steps: Most evaluations.
     """
 
     loss_scale: float = 2.0
     redundancy: float = 64.0
-    prior_scale: float = 3.0
     tolerance: float = 1e-5
     max_steps: int = 30
 
@@ -58,7 +55,6 @@ def solve(
     jacobian: Residuals,
     start: Float[np.ndarray, " p"],
     *,
-    heavy: Bool[np.ndarray, " p"] | None = None,
     config: SolverConfig = SolverConfig(),
 ) -> Solution:
     """Minimise Σ ρ(residuals(z)²) / redundancy + |z|² from `start`.
@@ -68,7 +64,6 @@ def solve(
             ValueError where z means nothing.
         jacobian: z to ∂residuals/∂z, shape (n, p).
         start: First z, shape (p,), where the residuals exist; z ~ N(0, I) is the prior.
-        heavy: Coordinates of z whose prior has heavy tails; None means none.
         config: When to stop.
 
     Returns:
@@ -85,15 +80,16 @@ def solve(
     def with_prior_jacobian(z: np.ndarray) -> np.ndarray:
         return np.concatenate([jacobian(z), np.eye(p)])
 
-    robust = np.concatenate([np.ones(n, bool), np.zeros(p, bool) if heavy is None else heavy])
-    limit = np.where(np.arange(n + p) < n, config.loss_scale, config.prior_scale)[robust]
-    share = np.where(np.arange(n + p) < n, config.redundancy, 1.0)
-
     def loss(squared: np.ndarray) -> np.ndarray:
         rho = np.stack([squared, np.ones(n + p), np.zeros(n + p)])
-        ratio = 1 + squared[robust] / limit**2
-        rho[:, robust] = limit**2 * np.log(ratio), 1 / ratio, -1 / (limit * ratio) ** 2
-        return rho / share
+        ratio = 1 + squared[:n] / config.loss_scale**2
+        rho[:, :n] = (
+            config.loss_scale**2 * np.log(ratio),
+            1 / ratio,
+            -1 / (config.loss_scale * ratio) ** 2,
+        )
+        rho[:, :n] /= config.redundancy
+        return rho
 
     result = least_squares(
         with_prior,
