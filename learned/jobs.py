@@ -11,6 +11,7 @@ from typing import Any, Literal
 
 import numpy as np
 import torch
+from accelerate import PartialState
 from torch import nn
 
 from learned.assess import fit_temperature
@@ -86,7 +87,8 @@ def run_job(job: JobCfg, *, resume: bool, cpu: bool = False, progress: bool = Tr
         Path of the weights.
     """
     torch.manual_seed(job.seed)
-    device = "cpu" if cpu or not torch.cuda.is_available() else "cuda"
+    here = PartialState(cpu=cpu)
+    device = str(here.device)
     stream_cfg = replace(job.data, with_rectified=_needs_rectified(job))
     stream = SlfStream(
         load_atlas(job.pack).to(device), job.seed, job.batch_size, job.size, stream_cfg
@@ -105,12 +107,14 @@ def run_job(job: JobCfg, *, resume: bool, cpu: bool = False, progress: bool = Tr
         cpu=cpu,
         progress=progress,
     )
+    path = job.folder / WEIGHTS
+    if not here.is_main_process:
+        return path
     best = averaged(network, average)
     assert isinstance(best, (LaRecNet, LinePerception, RongNet))
     if isinstance(best, LaRecNet):
         fit_temperature(best, (other.batch(i) for i in range(_TEMPERATURE_BATCHES)))
     scores = phase.report(best, validation)[0] if validation else {}
-    path = job.folder / WEIGHTS
     save_weights(path, best, training_card(job, scores))
     return path
 
@@ -133,6 +137,8 @@ def _network(job: JobCfg) -> tuple[nn.Module, Phase, OptimCfg]:
         network.parameters_of_lens.whiten(prior_samples())
     if job.init is not None:
         _initialise(network, job.init)
+    if preset.loss.pix == 0:
+        network.uncertainty.requires_grad_(False)  # takes no part
     return network, RectificationPhase(preset), preset.optim
 
 
