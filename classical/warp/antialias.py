@@ -73,6 +73,8 @@ def plan_smoothing(
     scale: Float32[np.ndarray, "height width"],
     source_width: int,
     source_height: int,
+    *,
+    step: int = 1,
 ) -> Smoothing:
     """Decide where a source has to be smoothed for a map with the given local scale.
 
@@ -82,6 +84,7 @@ def plan_smoothing(
         scale: Source pixels per new pixel, 0 where the map is not valid.
         source_width: Width of the source in pixels.
         source_height: Height of the source in pixels.
+        step: New pixels from one entry of the map to the next.
     """
     seen = scale > 0
     factor = max(1, math.floor(float(scale[seen].min()))) if seen.any() else 1
@@ -92,18 +95,18 @@ def plan_smoothing(
     shrinking = relative >= 1
     x = (u[shrinking] + 0.5) * (width / source_width)
     y = (v[shrinking] + 0.5) * (height / source_height)
-    needed = _scale_at_source(x, y, relative[shrinking], width, height)
+    needed = _scale_at_source(x, y, relative[shrinking], width, height, step)
     return Smoothing(width, height, tuple(_bands(needed, width, height)))
 
 
 def _scale_at_source(
-    x: np.ndarray, y: np.ndarray, scale: np.ndarray, width: int, height: int
+    x: np.ndarray, y: np.ndarray, scale: np.ndarray, width: int, height: int, step: int
 ) -> np.ndarray:
     """The largest scale with which each cell of the source is looked at, 0 if it shrinks nowhere.
 
     The grid is coarse enough that neighbouring lookups land in neighbouring cells.
     """
-    cell = max(_CELL, math.ceil(float(scale.max())))
+    cell = max(_CELL, math.ceil(step * float(scale.max())))
     shape = (math.ceil(height / cell), math.ceil(width / cell))
     rows = np.clip((y / cell).astype(np.intp), 0, shape[0] - 1)
     columns = np.clip((x / cell).astype(np.intp), 0, shape[1] - 1)

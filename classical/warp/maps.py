@@ -23,6 +23,7 @@ AnyCamera = KannalaBrandt | Division | Pinhole
 
 OUTSIDE = -32.0  # coordinate of a pixel without a source; resamples to 0 with any kernel
 MAX_SIDE = 32766  # cv2.remap counts pixels of the source in 16 bits
+_PLAN_STEP, _PLAN_MIN = 4, 32  # pixels from one to the next, pixels that shall be left a side
 _CHUNK = 1 << 14  # pixels mapped at a time, so that the intermediates stay in the CPU's cache
 
 
@@ -66,16 +67,19 @@ class WarpMaps:
         Over 1 the picture shrinks there. Central differences of the maps, one-sided at the rim and
         taken over valid neighbours only.
         """
-        u_x, u_y = _slope(self.u, self.valid, 1), _slope(self.u, self.valid, 0)
-        v_x, v_y = _slope(self.v, self.valid, 1), _slope(self.v, self.valid, 0)
-        scale = np.sqrt(np.abs(u_x * v_y - u_y * v_x))
-        return np.where(self.valid, scale, 0).astype(np.float32)
+        return _local_scale(self.u, self.v, self.valid)
 
     @cached_property
     def smoothing(self) -> Smoothing:
-        """What is done to the source against aliasing before it is looked up."""
+        """What is done to the source against aliasing before it is looked up.
+
+        Planned on every fourth pixel each way, as the scale changes slowly over the picture.
+        """
+        step = max(1, min(_PLAN_STEP, min(self.u.shape) // _PLAN_MIN))
+        u, v, valid = (array[::step, ::step] for array in (self.u, self.v, self.valid))
+        scale = _local_scale(u, v, valid) / np.float32(step)
         size = (self.source_width, self.source_height)
-        return plan_smoothing(self.u, self.v, self.scale, *size)
+        return plan_smoothing(u, v, scale, *size, step=step)
 
     @cached_property
     def lookup(self) -> tuple[Float32[np.ndarray, "height width"], ...]:
@@ -183,6 +187,14 @@ def _reduced(values: np.ndarray, valid: np.ndarray, factor: float, last: int) ->
     """Coordinates in a picture that was reduced with its outer edges in place."""
     moved = np.clip((values + np.float32(0.5)) * np.float32(factor) - np.float32(0.5), 0, last)
     return np.where(valid, moved, np.float32(OUTSIDE))
+
+
+def _local_scale(u: np.ndarray, v: np.ndarray, valid: np.ndarray) -> np.ndarray:
+    """Root of the area that one step in each direction covers; 0 if not valid."""
+    u_x, u_y = _slope(u, valid, 1), _slope(u, valid, 0)
+    v_x, v_y = _slope(v, valid, 1), _slope(v, valid, 0)
+    scale = np.sqrt(np.abs(u_x * v_y - u_y * v_x))
+    return np.where(valid, scale, 0).astype(np.float32)
 
 
 def _slope(values: np.ndarray, valid: np.ndarray, axis: int) -> np.ndarray:
