@@ -37,8 +37,8 @@ class RejectionConfig:
     centre_shift: float = 0.1
     strongest_angle: float = 1.75
     excess_bend: float = 1.25
-    slack: float = 1.0
-    slack_per_length: float = 0.004
+    slack: float = 0.6
+    slack_per_length: float = 0.002
     rim: float = 0.02
     frame: float = 4.0
     circle: CircleConfig = field(default_factory=CircleConfig)

@@ -190,13 +190,13 @@ def curves_from_heatmap(
     centre = centre.chosen(centre.chords() >= config.min_length)
     if not len(centre):
         return []
-    ratio = np.array([work.shape[1] / heatmap.shape[1], work.shape[0] / heatmap.shape[0]])
+    ratio = scale * full.shape[::-1] / np.array(heatmap.shape[::-1])
     centre = _Arcs((centre.points + 0.5) * ratio - 0.5, centre.contrast, centre.offsets)
     arcs, unsnapped = _snapped(centre, work, float(ratio.mean()), config)
     arcs = _longest(_plausible(arcs, work, config.rejection), config.max_curves)
     unsnapped = _longest(_plausible(unsnapped, work, config.rejection), config.max_curves)
     curves = _finished(arcs, full, scale, config.refinement)
-    sigma = config.centre_sigma * float(ratio.mean()) / scale
+    sigma = config.centre_sigma * float((ratio / scale).mean())
     curves += [
         Curve((unsnapped.points[a:b] + 0.5) / scale - 0.5, sigma, 0.1)
         for a, b in zip(unsnapped.offsets[:-1], unsnapped.offsets[1:], strict=True)
@@ -209,23 +209,24 @@ def _grey(image: np.ndarray) -> np.ndarray:
     if image.dtype != np.uint8 or image.ndim not in (2, 3):
         raise ValueError(f"Expected uint8 (h, w) or (h, w, 3), got {image.dtype} {image.shape}.")
     if image.ndim == 2:
-        return image
+        return np.ascontiguousarray(image)
     if image.shape[2] != 3:
         raise ValueError(f"Expected 3 channels, got {image.shape[2]}.")
-    return cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)
+    return cv2.cvtColor(np.ascontiguousarray(image), cv2.COLOR_RGB2GRAY)
 
 
-def _working_picture(grey: np.ndarray, max_size: int, min_size: int) -> tuple[np.ndarray, float]:
-    """Float picture of a workable size, and its pixels per pixel of the input."""
+def _working_picture(
+    grey: np.ndarray, max_size: int, min_size: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """Float picture of a workable size, and its pixels per pixel of the input along u and v."""
     longest = max(grey.shape)
-    scale = max_size / longest if longest > max_size else np.clip(min_size / longest, 1.0, 2.0)
-    scale = float(scale)
+    scale = max_size / longest if longest > max_size else min(max(min_size / longest, 1.0), 2.0)
+    height, width = grey.shape
+    size = (max(1, round(width * scale)), max(1, round(height * scale)))
     if scale != 1.0:
-        size = (max(1, round(grey.shape[1] * scale)), max(1, round(grey.shape[0] * scale)))
-        grey = cv2.resize(
-            grey, size, interpolation=cv2.INTER_AREA if scale < 1 else cv2.INTER_CUBIC
-        )
-    return grey.astype(np.float32), scale
+        kind = cv2.INTER_AREA if scale < 1 else cv2.INTER_CUBIC
+        grey = cv2.resize(grey, size, interpolation=kind)
+    return grey.astype(np.float32), np.array([size[0] / width, size[1] / height])
 
 
 def _arcs_of(
@@ -282,14 +283,17 @@ def _longest(arcs: _Arcs, most: int) -> _Arcs:
     return arcs.chosen(chords >= np.sort(chords)[-most])
 
 
-def _finished(arcs: _Arcs, full: np.ndarray, scale: float, refinement: SnapConfig) -> list[Curve]:
+def _finished(
+    arcs: _Arcs, full: np.ndarray, scale: np.ndarray, refinement: SnapConfig
+) -> list[Curve]:
     """Curves of the full picture from arcs of the working picture."""
     if not len(arcs):
         return []
     arcs = _Arcs((arcs.points + 0.5) / scale - 0.5, arcs.contrast, arcs.offsets)
-    if scale < 1:
-        arcs = _refined(arcs, full, scale, refinement)
-    near = inliers(arcs.points, arcs.offsets, floor=_OUTLIER_FLOOR / scale)
+    pixels = 1 / float(scale.mean())  # of the full picture per working pixel
+    if pixels > 1:
+        arcs = _refined(arcs, full, 1.5 * pixels, refinement)
+    near = inliers(arcs.points, arcs.offsets, floor=_OUTLIER_FLOOR * pixels)
     arcs = arcs.only(near)
     rms_of_arcs = fit_by_length(arcs.points, arcs.offsets).rms
     curves = []
@@ -300,7 +304,18 @@ def _finished(arcs: _Arcs, full: np.ndarray, scale: float, refinement: SnapConfi
     return sorted(curves, key=lambda curve: -curve.length)
 
 
-def _refined(arcs: _Arcs, full: np.ndarray, scale: float, config: SnapConfig) -> _Arcs:
-    """Points placed again on the full picture; where that finds no edge they stay."""
-    snapped = snap_to_edges(full, arcs.points, arcs.offsets, reach=1.5 / scale, config=config)
-    return _Arcs(snapped.points, snapped.contrast, snapped.offsets)
+def _refined(arcs: _Arcs, full: np.ndarray, reach: float, config: SnapConfig) -> _Arcs:
+    """Points placed again on the full picture; curves along which that finds little stay."""
+    snapped = snap_to_edges(full, arcs.points, arcs.offsets, reach=reach, config=config)
+    counts = np.diff(snapped.offsets)
+    share = np.add.reduceat(snapped.found.astype(float), snapped.offsets[:-1]) / counts
+    well = share >= 0.5
+    moved = _Arcs(snapped.points, snapped.contrast, snapped.offsets).chosen(well)
+    if well.any():
+        moved = moved.only(snapped.found[np.repeat(well, counts)])
+    left = arcs.chosen(~well)
+    return _Arcs(
+        np.concatenate([moved.points, left.points]),
+        np.concatenate([moved.contrast, left.contrast]),
+        np.concatenate([moved.offsets, moved.offsets[-1] + left.offsets[1:]]),
+    )
