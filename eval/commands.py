@@ -12,7 +12,7 @@ from tqdm import tqdm
 
 from eval.cases import Suite
 from eval.folder import RunFolder, claim_folder, origin
-from eval.methods import METHODS, Method, parse_methods
+from eval.methods import METHODS, TOGETHER, Method, parse_methods
 from eval.open_suite import open_suite
 
 _ALL = ",".join(method.tag for method in METHODS)
@@ -34,7 +34,12 @@ _ALL = ",".join(method.tag for method in METHODS)
     help="Folder for answers and scores, one folder a suite in it.",
 )
 @click.option(
-    "--methods", default=_ALL, show_default=True, help="Which methods, separated by commas."
+    "--methods",
+    default=_ALL,
+    show_default=True,
+    help="Which methods, separated by commas; also "
+    + " and ".join(method.tag for method in TOGETHER)
+    + ", which take all pictures of a camera at once.",
 )
 @click.option("--workers", default=1, show_default=True, type=click.IntRange(1), help="Processes.")
 @click.option("--seed", default=0, show_default=True, help="Of random choices within methods.")
@@ -100,10 +105,11 @@ def _run(
 
     answers = predict_suite(suite, methods, folder, workers=workers)
     _progress(f"{suite.name}: estimate", answers)
-    complete = [method for method in METHODS if not pending(suite, {method: {}}, folder)]
+    known = (*METHODS, *TOGETHER)
+    complete = [method for method in known if not pending(suite, {method: {}}, folder)]
     scores = score_suite(suite.cases, suite.theta_max, complete, folder, workers=workers)
     _progress(f"{suite.name}: score", scores)
-    uses_network = any(method.tag in ("learned", "hybrid") for method in complete)
+    uses_network = any(method.estimator in ("learned", "hybrid") for method in complete)
     write_gallery(suite, folder, heatmap=network_lines() if uses_network else None)
 
 

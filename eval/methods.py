@@ -2,6 +2,8 @@
 
 from dataclasses import dataclass
 
+_TOGETHER = "-together"
+
 
 @dataclass(frozen=True)
 class Method:
@@ -13,12 +15,19 @@ class Method:
         color: Colour in all plots (Okabe–Ito, told apart by colour-blind readers).
         knows_focal: False where the model has no focal length, only a stated convention: its
             focal error says nothing and is not shown.
+        together: Sees all pictures of a camera at once and gives one answer for all of them.
     """
 
     tag: str
     full_name: str
     color: str
     knows_focal: bool = True
+    together: bool = False
+
+    @property
+    def estimator(self) -> str:
+        """Name of the estimator behind it, `RectifyConfig.method`."""
+        return self.tag.removesuffix(_TOGETHER)
 
 
 IDENTITY = Method("identity", "Left alone", "#7f7f7f", knows_focal=False)
@@ -34,7 +43,13 @@ METHODS = (
 )
 """In the order of the tables."""
 
-_BY_TAG = {method.tag: method for method in METHODS}
+TOGETHER = (
+    Method("classical-together", "Straightness fit, one for a camera", "#004a75", together=True),
+    Method("hybrid-together", "Straightlens, one fit for a camera", "#8f3f00", together=True),
+)
+"""Asked for by name only; they know more than the others: which pictures share a lens."""
+
+_BY_TAG = {method.tag: method for method in (*METHODS, *TOGETHER)}
 
 
 def method_of(tag: str) -> Method:
@@ -52,4 +67,4 @@ def parse_methods(tags: str) -> tuple[Method, ...]:
     unknown = sorted(set(wanted) - set(_BY_TAG))
     if unknown or not wanted:
         raise ValueError(f"expected methods among {', '.join(_BY_TAG)}, got {tags!r}")
-    return tuple(method for method in METHODS if method.tag in wanted)
+    return tuple(method for tag, method in _BY_TAG.items() if tag in wanted)

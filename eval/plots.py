@@ -182,7 +182,7 @@ def _legend(axes: Axes) -> None:
         axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.16), ncols=2)
 
 
-def _plain_ticks(axes: Axes, ticks: Sequence[float], *, vertical: bool = False) -> None:
+def _plain_ticks(axes: Axes, ticks: Sequence[float | int], *, vertical: bool = False) -> None:
     """Ticks of a logarithmic axis as ordinary numbers."""
     axis = axes.yaxis if vertical else axes.xaxis
     low, high = axis.get_view_interval()

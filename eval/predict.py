@@ -2,7 +2,7 @@
 
 import hashlib
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial
 from pathlib import Path
@@ -13,28 +13,30 @@ from jaxtyping import Float64, UInt8
 from numpy import ndarray
 
 from classical.camera import Division, KannalaBrandt
-from eval.cases import Suite, read_picture
+from eval.cases import Case, Suite, read_picture
 from eval.folder import RunFolder
 from eval.methods import IDENTITY, Method
 from eval.pool import ordered_map
 from eval.prediction import Prediction
 
-Predictor = Callable[[UInt8[ndarray, "h w 3"]], Prediction]
+Predictor = Callable[[Sequence[UInt8[ndarray, "h w 3"]]], list[Prediction]]
+"""Takes photographs of one lens and answers each."""
+
 Settings = tuple[tuple[str, Any], ...]
 Factory = Callable[[str, Settings], Predictor]
-"""Makes the predictor of a method from its tag and settings; called once a process and method."""
+"""Makes the predictor of an estimator from its name and settings, once a process."""
 
 _WEIGHTS = {"rong": "rong-compact", "learned": "compact", "hybrid": "compact"}
 
 
 @dataclass(frozen=True)
 class _Task:
-    """One photograph for one method."""
+    """The photographs that one method sees at once: one, or all of a camera."""
 
-    tag: str
+    estimator: str
     settings: Settings
-    picture: Path
-    target: Path
+    pictures: tuple[Path, ...]
+    targets: tuple[Path, ...]
 
 
 def predict_suite(
@@ -62,10 +64,11 @@ def predict_suite(
     """
     total = len(suite.cases) * len(methods)
     tasks = pending(suite, methods, folder)
-    done = total - len(tasks)
+    done = total - sum(len(task.targets) for task in tasks)
     yield done, total
-    for _ in ordered_map(partial(_predict_one, factory or project_method), tasks, workers=workers):
-        done += 1
+    results = ordered_map(partial(_predict, factory or project_method), tasks, workers=workers)
+    for answered in results:
+        done += answered
         yield done, total
 
 
@@ -73,30 +76,50 @@ def pending(
     suite: Suite, methods: Mapping[Method, Mapping[str, Any]], folder: RunFolder
 ) -> list[_Task]:
     """What is left to do, method by method."""
-    return [
-        _Task(method.tag, tuple(sorted(settings.items())), case.picture, target)
-        for method, settings in methods.items()
-        for case in suite.cases
-        if not (target := folder.prediction(method.tag, case.name)).is_file()
-    ]
+    tasks = []
+    for method, settings in methods.items():
+        for cases in _batches(suite, method):
+            targets = tuple(folder.prediction(method.tag, case.name) for case in cases)
+            if not all(target.is_file() for target in targets):
+                pictures = tuple(case.picture for case in cases)
+                options = tuple(sorted(settings.items()))
+                tasks.append(_Task(method.estimator, options, pictures, targets))
+    return tasks
 
 
-def _predict_one(factory: Factory, task: _Task) -> None:
-    """Answer one photograph and save the answer; an exception is a failure with its reason."""
-    predictor = _predictor(factory, task.tag, task.settings)
-    picture = read_picture(task.picture)
+def _batches(suite: Suite, method: Method) -> list[list[Case]]:
+    """The cases that a method sees at once; pictures of one size where it takes a camera's."""
+    if not method.together:
+        return [[case] for case in suite.cases]
+    batches: dict[tuple[str, int, int], list[Case]] = {}
+    for case in suite.cases:
+        key = (case.group, case.camera.width, case.camera.height)
+        batches.setdefault(key, []).append(case)
+    return list(batches.values())
+
+
+def _predict(factory: Factory, task: _Task) -> int:
+    """Answer the photographs of a task, save the answers, and say how many.
+
+    An exception is a failure with its reason. The time of a photograph is its share.
+    """
+    predictor = _predictor(factory, task.estimator, task.settings)
+    pictures = [read_picture(path) for path in task.pictures]
     start = time.perf_counter()
     try:
-        prediction = predictor(picture)
+        predictions = predictor(pictures)
     except Exception as error:  # a broken method must not stop the comparison; it is shown
-        prediction = Prediction(None, "failed", f"{type(error).__name__}: {error}")
-    prediction = replace(prediction, seconds=time.perf_counter() - start)
-    prediction.save(task.target)
+        reason = f"{type(error).__name__}: {error}"
+        predictions = [Prediction(None, "failed", reason)] * len(pictures)
+    seconds = (time.perf_counter() - start) / len(pictures)
+    for prediction, target in zip(predictions, task.targets, strict=True):
+        replace(prediction, seconds=seconds).save(target)
+    return len(pictures)
 
 
 @lru_cache(maxsize=2)
-def _predictor(factory: Factory, tag: str, settings: Settings) -> Predictor:
-    return factory(tag, settings)
+def _predictor(factory: Factory, estimator: str, settings: Settings) -> Predictor:
+    return factory(estimator, settings)
 
 
 def settings_of(method: Method, *, seed: int) -> dict[str, Any]:
@@ -111,47 +134,49 @@ def settings_of(method: Method, *, seed: int) -> dict[str, Any]:
         return settings
     from hybrid import RectifyConfig
 
-    RectifyConfig(method=method.tag, seed=seed)  # refuses what it does not know
-    if name := _WEIGHTS.get(method.tag):
+    RectifyConfig(method=method.estimator, seed=seed)  # refuses what it does not know
+    if name := _WEIGHTS.get(method.estimator):
         from learned.weights import packaged
 
         settings["weights"] = hashlib.sha256(packaged(name).read_bytes()).hexdigest()[:16]
     return settings
 
 
-def project_method(tag: str, settings: Settings) -> Predictor:
+def project_method(estimator: str, settings: Settings) -> Predictor:
     """The predictor of one of the project's methods, through the public `Rectifier`.
 
     Args:
-        tag: `method` of `RectifyConfig`.
+        estimator: `method` of `RectifyConfig`.
         settings: Further fields of `RectifyConfig`; the checksum of the weights is for the record.
     """
-    if tag == IDENTITY.tag:
+    if estimator == IDENTITY.tag:
         return _leave_alone
     from hybrid import Rectifier, RectifyConfig
 
     options = {name: value for name, value in settings if name != "weights"}
-    return partial(_ask, Rectifier(RectifyConfig(method=tag, **options)))
+    return partial(_ask, Rectifier(RectifyConfig(method=estimator, **options)))
 
 
-def _leave_alone(picture: UInt8[ndarray, "h w 3"]) -> Prediction:
-    return Prediction(None, "ok")
+def _leave_alone(pictures: Sequence[UInt8[ndarray, "h w 3"]]) -> list[Prediction]:
+    return [Prediction(None, "ok") for _ in pictures]
 
 
-def _ask(rectifier: Any, picture: UInt8[ndarray, "h w 3"]) -> Prediction:
-    """Translate the calibration of one photograph into a prediction."""
-    found = rectifier.calibrate([picture])
+def _ask(rectifier: Any, pictures: Sequence[UInt8[ndarray, "h w 3"]]) -> list[Prediction]:
+    """Translate the calibration of photographs into a prediction for each."""
+    found = rectifier.calibrate(pictures)
     camera = found.camera if isinstance(found.camera, KannalaBrandt | Division) else None
-    curves = found.curves[0]
-    return Prediction(
-        camera=camera,
-        status="failed" if camera is None else found.status,
-        reason=found.reason,
-        predicted_error_px=found.quality.predicted_error_px,
-        curves=tuple(np.asarray(curve.points, dtype=np.float32) for curve in curves),
-        inlier=np.array([curve.inlier for curve in curves], dtype=bool),
-        covariance=_known(found.quality.covariance),
-    )
+    return [
+        Prediction(
+            camera=camera,
+            status="failed" if camera is None else found.status,
+            reason=found.reason,
+            predicted_error_px=found.quality.predicted_error_px,
+            curves=tuple(np.asarray(curve.points, dtype=np.float32) for curve in curves),
+            inlier=np.array([curve.inlier for curve in curves], dtype=bool),
+            covariance=_known(found.quality.covariance),
+        )
+        for curves in found.curves
+    ]
 
 
 def _known(covariance: Float64[ndarray, "9 9"]) -> Float64[ndarray, "9 9"] | None:

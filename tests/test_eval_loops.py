@@ -43,7 +43,7 @@ class Recorder:
         self.stop_at = stop_at
 
     def __call__(self, tag: str, settings: tuple):
-        return lambda picture: self.answer(tag)
+        return lambda pictures: [self.answer(tag) for _ in pictures]
 
     def answer(self, tag: str) -> Prediction:
         self.calls += 1
@@ -165,6 +165,21 @@ def test_two_workers_give_the_scores_of_one(suite, tmp_path):
     for score in (first, second):
         del score["seconds"], score["digest"]
     assert first == second
+
+
+def test_a_method_that_takes_a_camera_at_once_sees_all_its_pictures(suite, tmp_path):
+    seen = []
+
+    def factory(estimator: str, settings: tuple):
+        def predict(pictures):
+            seen.append((estimator, len(pictures)))
+            return [Prediction(CAMERA, "ok") for _ in pictures]
+
+        return predict
+
+    folder = run(suite, tmp_path / "out", (method_of("hybrid-together"),), factory)
+    assert seen == [("hybrid", 3)]
+    assert scores(folder, "hybrid-together")["paper"]["rpe"] == pytest.approx(0, abs=1e-6)
 
 
 def test_names_of_pictures_must_differ(suite):
