@@ -10,6 +10,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from learned.larecnet import LaRecNet
+from learned.letterbox import resized
 from learned.parameters import FREE
 from learned.phases import detection_counts, reprojection_errors
 from learned.rectification import rectify_images
@@ -57,11 +58,19 @@ class Assessment:
 
 @torch.inference_mode()
 def assess(network: LaRecNet, batches: Iterable[SlfBatch]) -> Assessment:
-    """Run a network over batches with ground truth."""
+    """Run a network over batches with ground truth.
+
+    The lens is estimated in the network's own frame, all else is done at the batches' size.
+
+    Args:
+        network: In evaluation mode.
+        batches: Samples with rectified pictures.
+    """
     rpe, psnr, scores = [], [], []
     counts = torch.zeros(4, dtype=torch.float64)
     for batch in batches:
-        out = network(batch.image.contiguous(memory_format=torch.channels_last))
+        image = resized(batch.image, network.cfg.frame, network.cfg.frame)
+        out = network(image.contiguous(memory_format=torch.channels_last))
         rpe.append(reprojection_errors(out.k, batch))
         mse = (rectify_images(batch.image, out.k) - batch.rectified).square().mean((1, 2, 3))
         psnr.append(-10.0 * torch.log10(mse.clamp_min(1e-10)))
@@ -70,7 +79,8 @@ def assess(network: LaRecNet, batches: Iterable[SlfBatch]) -> Assessment:
             sigma = torch.diagonal(covariance, dim1=1, dim2=2).sqrt()[:, FREE]
             scores.append((batch.k - out.k)[:, FREE] / sigma)
         if out.lineness is not None:
-            counts += torch.from_numpy(detection_counts(out.lineness > 0.5, batch.line_map > 0))
+            sure = network.dlp.lineness(network.dlp(batch.image).raw)
+            counts += torch.from_numpy(detection_counts(sure > 0.5, batch.line_map > 0))
     spread = torch.cat(scores) if scores else torch.zeros(0, len(FREE))
     return Assessment(
         torch.cat(rpe).float(), torch.cat(psnr).float(), spread.float(), counts.float()

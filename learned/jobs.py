@@ -95,7 +95,7 @@ def run_job(job: JobCfg, *, resume: bool, cpu: bool = False, progress: bool = Tr
     )
     validation = _validation(job, stream_cfg, device)
     network, phase, optim = _network(job)
-    other = replace(stream, seed=job.seed + _OTHER_SEED, batch_size=8, size=SIZE)
+    other = replace(stream, seed=job.seed + _OTHER_SEED, batch_size=8)
     average = train(
         network,
         phase,
@@ -132,7 +132,7 @@ def _network(job: JobCfg) -> tuple[nn.Module, Phase, OptimCfg]:
         if job.init is not None:
             rong.load_state_dict(load_weights(job.init, RongNet).network.state_dict())
         return rong, DivisionPhase(), preset.optim
-    network = LaRecNet(preset.network)
+    network = LaRecNet(replace(preset.network, frame=job.size))
     if preset.whiten:
         network.parameters_of_lens.whiten(prior_samples())
     if job.init is not None:
@@ -172,7 +172,8 @@ def _needs_rectified(job: JobCfg) -> bool:
 def _validation(job: JobCfg, data: StreamCfg, device: str) -> Sequence[SlfBatch]:
     if job.validation is None:
         return []
-    stream = SlfStream(load_atlas(job.validation).to(device), _VALIDATION_SEED, 8, SIZE, data)
+    atlas = load_atlas(job.validation).to(device)
+    stream = SlfStream(atlas, _VALIDATION_SEED, 8, job.size, data)
     return [stream.batch(i) for i in range(job.validation_batches)]
 
 

@@ -28,12 +28,15 @@ class LarecnetCfg:
         calibration: Multiscale calibration.
         uncertainty_width: Channels C of each stage in the uncertainty module.
         pixel_stride: The rectified picture of L_pix is this much smaller than the input (1: paper).
+        frame: Side of the square frame in which the lens is estimated, in pixels; it is what these
+            weights were trained at last.
     """
 
     dlp: DlpCfg = field(default_factory=DlpCfg)
     calibration: CalibrationCfg = field(default_factory=CalibrationCfg)
     uncertainty_width: int = 32
     pixel_stride: int = 1
+    frame: int = 320
 
 
 @dataclass(frozen=True)

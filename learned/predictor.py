@@ -19,7 +19,7 @@ from learned.letterbox import Letterbox, as_tensor, resized
 from learned.rong import RongNet
 from learned.weights import load_weights, packaged
 
-FRAME = 320
+_RONG_FRAME = 320
 _TILE = 512
 _OVERLAP = 64
 
@@ -88,7 +88,7 @@ class Predictor:
             Camera and covariance for the picture as it came.
         """
         tensor = as_tensor(image).to(self.device)
-        box = Letterbox(tensor.shape[3], tensor.shape[2], FRAME)
+        box = Letterbox(tensor.shape[3], tensor.shape[2], self.network.cfg.frame)
         out = self.network(_fast(box.fill(tensor)))
         k = out.k[0].double().cpu().numpy()
         camera = box.camera(k) if np.isfinite(k).all() and k[0] > 0 and k[6] > 0 else None
@@ -159,7 +159,7 @@ class RongPredictor:
         """
         tensor = as_tensor(image)
         height, width = tensor.shape[-2:]
-        box = Letterbox(width, height, FRAME)
+        box = Letterbox(width, height, _RONG_FRAME)
         lambda_ = float(self.network.estimate(self.network(box.fill(tensor)))[0])
         half = max(width, height) / 2
         return Division(lambda_ / half**2, (width - 1) / 2, (height - 1) / 2, width, height)

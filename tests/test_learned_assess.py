@@ -29,7 +29,7 @@ CALIBRATION = replace(
 @pytest.fixture(scope="module")
 def network() -> LaRecNet:
     torch.manual_seed(0)
-    made = LaRecNet(LarecnetCfg(dlp=DLP, calibration=CALIBRATION, uncertainty_width=2))
+    made = LaRecNet(LarecnetCfg(dlp=DLP, calibration=CALIBRATION, uncertainty_width=2, frame=32))
     made.parameters_of_lens.whiten(_lenses(400))
     return made.eval()
 
