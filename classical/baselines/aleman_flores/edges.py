@@ -45,7 +45,8 @@ def detect_edges(grey: Float[np.ndarray, "h w"], *, config: AlemanFloresConfig) 
     1 px is dropped; positions stay whole pixels, as in the authors' description.
     """
     gradient_u, gradient_v = _gradient(grey, config.sigma)
-    norm = cv2.magnitude(gradient_u, gradient_v)
+    # not cv2.magnitude, whose last bit depends on where the arrays lie in memory
+    norm = np.sqrt(gradient_u * gradient_u + gradient_v * gradient_v)
     low, high = np.percentile(norm, [config.low_percentile, config.high_percentile])
     low, high = max(low, config.low_floor), max(high, config.high_floor)
     thin = _thin(norm, gradient_u, gradient_v, low)

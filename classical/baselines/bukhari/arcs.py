@@ -37,7 +37,7 @@ class Arc:
 
 def find_contours(
     grey: Float[np.ndarray, "h w"], *, config: BukhariConfig
-) -> list[Float[np.ndarray, "n 2"]]:
+) -> list[Float[np.ndarray, "_ 2"]]:
     """Edges linked in order, cut where they meet, at sub-pixel positions.
 
     Canny's two thresholds work on whole contours: one is kept if it is above the low threshold
@@ -60,7 +60,7 @@ def find_contours(
 
 
 def find_arcs(
-    contours: list[Float[np.ndarray, "n 2"]],
+    contours: list[Float[np.ndarray, "_ 2"]],
     *,
     config: BukhariConfig,
     rng: np.random.Generator,
