@@ -128,7 +128,7 @@ def _network(job: JobCfg) -> tuple[nn.Module, Phase, OptimCfg]:
             perception.load_state_dict(_perception(job.init).state_dict())
         return perception, PerceptionPhase(preset.network.dlp), preset.optim_dlp
     if job.target == "rong":
-        rong = RongNet(preset.rong)
+        rong = RongNet(replace(preset.rong, frame=job.size))
         if job.init is not None:
             rong.load_state_dict(load_weights(job.init, RongNet).network.state_dict())
         return rong, DivisionPhase(), preset.optim

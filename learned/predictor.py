@@ -19,7 +19,6 @@ from learned.letterbox import Letterbox, as_tensor, resized
 from learned.rong import RongNet
 from learned.weights import load_weights, packaged
 
-_RONG_FRAME = 320
 _TILE = 512
 _OVERLAP = 64
 
@@ -159,7 +158,7 @@ class RongPredictor:
         """
         tensor = as_tensor(image)
         height, width = tensor.shape[-2:]
-        box = Letterbox(width, height, _RONG_FRAME)
+        box = Letterbox(width, height, self.network.cfg.frame)
         lambda_ = float(self.network.estimate(self.network(box.fill(tensor)))[0])
         half = max(width, height) / 2
         return Division(lambda_ / half**2, (width - 1) / 2, (height - 1) / 2, width, height)

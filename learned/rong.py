@@ -35,6 +35,7 @@ class RongCfg:
         low: Smallest λ, in 1 / half width².
         high: Largest λ.
         label_sigma: Standard deviation of the soft labels, in classes.
+        frame: Side of the square frame that it looks at, in pixels: that of its training.
     """
 
     widths: tuple[int, ...] = (64, 256, 512, 1024)
@@ -44,6 +45,7 @@ class RongCfg:
     low: float = -1.8
     high: float = 0.2
     label_sigma: float = 2.0
+    frame: int = 320
 
 
 class RongNet(nn.Module):
