@@ -42,6 +42,12 @@ _ALL = ",".join(method.tag for method in METHODS)
     + ", which take all pictures of a camera at once.",
 )
 @click.option("--workers", default=1, show_default=True, type=click.IntRange(1), help="Processes.")
+@click.option(
+    "--ray",
+    "cluster",
+    metavar="ADDRESS",
+    help="Work on a Ray cluster instead (auto, local or host:port) with a common file system.",
+)
 @click.option("--seed", default=0, show_default=True, help="Of random choices within methods.")
 @click.option(
     "--min-bend",
@@ -58,6 +64,7 @@ def evaluate(
     out: Path,
     methods: str,
     workers: int,
+    cluster: str | None,
     seed: int,
     min_bend: float,
     every: int,
@@ -76,13 +83,13 @@ def evaluate(
 
     settings = {method: settings_of(method, seed=seed) for method in chosen}
     for path in suites:
-        suite = open_suite(path, min_bend=min_bend, every=every)
-        folder = RunFolder(out / suite.name)
+        suite = open_suite(path.resolve(), min_bend=min_bend, every=every)
+        folder = RunFolder(out.resolve() / suite.name)
         if restart and folder.config.is_file():
             shutil.rmtree(folder.root)
         claim_folder(folder, suite, settings)
         _say_if_older(folder)
-        _run(suite, folder, settings, workers)
+        _run(suite, folder, settings, {"workers": workers, "cluster": cluster})
 
 
 def _say_if_older(folder: RunFolder) -> None:
@@ -96,18 +103,21 @@ def _say_if_older(folder: RunFolder) -> None:
 
 
 def _run(
-    suite: Suite, folder: RunFolder, methods: dict[Method, dict[str, Any]], workers: int
+    suite: Suite,
+    folder: RunFolder,
+    methods: dict[Method, dict[str, Any]],
+    spread: dict[str, Any],
 ) -> None:
     """Both loops and the pictures for the report, with progress on stderr."""
     from eval.gallery import network_lines, write_gallery
     from eval.predict import pending, predict_suite
     from eval.score import score_suite
 
-    answers = predict_suite(suite, methods, folder, workers=workers)
+    answers = predict_suite(suite, methods, folder, **spread)
     _progress(f"{suite.name}: estimate", answers)
     known = (*METHODS, *TOGETHER)
     complete = [method for method in known if not pending(suite, {method: {}}, folder)]
-    scores = score_suite(suite.cases, suite.theta_max, complete, folder, workers=workers)
+    scores = score_suite(suite.cases, suite.theta_max, complete, folder, **spread)
     _progress(f"{suite.name}: score", scores)
     uses_network = any(method.estimator in ("learned", "hybrid") for method in complete)
     write_gallery(suite, folder, heatmap=network_lines() if uses_network else None)

@@ -45,6 +45,7 @@ def predict_suite(
     folder: RunFolder,
     *,
     workers: int = 1,
+    cluster: str | None = None,
     factory: Factory | None = None,
 ) -> Iterator[tuple[int, int]]:
     """Run methods over a suite; photographs that have their file are not done again.
@@ -57,6 +58,7 @@ def predict_suite(
         methods: The settings of each method, see `project_method`.
         folder: Where the answers go; `claim_folder` has prepared it.
         workers: Processes.
+        cluster: Address of a Ray cluster to use instead, see `ordered_map`.
         factory: Makes predictors; `project_method` by default.
 
     Yields:
@@ -66,7 +68,9 @@ def predict_suite(
     tasks = pending(suite, methods, folder)
     done = total - sum(len(task.targets) for task in tasks)
     yield done, total
-    results = ordered_map(partial(_predict, factory or project_method), tasks, workers=workers)
+    results = ordered_map(
+        partial(_predict, factory or project_method), tasks, workers=workers, cluster=cluster
+    )
     for answered in results:
         done += answered
         yield done, total

@@ -128,6 +128,7 @@ def score_suite(
     folder: RunFolder,
     *,
     workers: int = 1,
+    cluster: str | None = None,
 ) -> Iterator[tuple[int, int]]:
     """Score all answers of a folder; those whose score is up to date are not scored again.
 
@@ -137,13 +138,14 @@ def score_suite(
         methods: The methods to score; each has its answer on each photograph.
         folder: Where answers are and scores go.
         workers: Processes.
+        cluster: Address of a Ray cluster to use instead, see `ordered_map`.
 
     Yields:
         (done, total) after each photograph.
     """
     score = partial(score_case, theta_max, [method.tag for method in methods], folder)
     yield 0, len(cases)
-    for done, _ in enumerate(ordered_map(score, cases, workers=workers), start=1):
+    for done, _ in enumerate(ordered_map(score, cases, workers=workers, cluster=cluster), start=1):
         yield done, len(cases)
 
 
