@@ -8,3 +8,6 @@ from classical.fit.result import FittedCurve as FittedCurve
 from classical.fit.result import LensFit as LensFit
 from classical.fit.search import SearchConfig as SearchConfig
 from classical.fit.solve import SolverConfig as SolverConfig
+from classical.fit.vanishing import ScaleEstimate as ScaleEstimate
+from classical.fit.vanishing import VanishingConfig as VanishingConfig
+from classical.fit.vanishing import scale_from_directions as scale_from_directions

@@ -9,13 +9,19 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from classical.camera import KannalaBrandt
-from classical.fit.prior import LensPrior, generic_prior
+from classical.fit.prior import FREE, LensPrior, generic_prior
 from classical.fit.quality import judge, predicted_error
-from classical.fit.result import FittedCurve, LensFit
+from classical.fit.result import FittedCurve, LensFit, ScaleSource
 from classical.fit.samples import CurveSamples, sample_curves
 from classical.fit.search import SearchConfig, search
 from classical.fit.solve import SolverConfig, solve
 from classical.fit.straightness import straightness
+from classical.fit.vanishing import (
+    ScaleEstimate,
+    VanishingConfig,
+    rescaled,
+    scale_from_directions,
+)
 from classical.lines import Curve, join_curves
 
 _REFERENCE_WIDTH = 1280  # tolerances are pixels of a picture this wide
@@ -36,6 +42,7 @@ class FitConfig:
         covariance_redundancy: As `SolverConfig.redundancy`, for the covariance. The fit guards
             against curves that err together; what it reaches on average is better than that, and
             this value makes the predicted errors of held-out synthetic pictures come true.
+        vanishing: How orthogonal vanishing points fix the scale; None leaves it to the prior.
         search: The global start.
         solver: The local solver.
     """
@@ -47,6 +54,7 @@ class FitConfig:
     max_curves: int = 120
     joinings: int = 1
     covariance_redundancy: float = 6.0
+    vanishing: VanishingConfig | None = field(default_factory=VanishingConfig)
     search: SearchConfig = field(default_factory=SearchConfig)
     solver: SolverConfig = field(default_factory=SolverConfig)
 
@@ -57,6 +65,7 @@ class _Candidate:
 
     camera: KannalaBrandt
     covariance: np.ndarray
+    scale_source: ScaleSource = "prior"
 
 
 def fit_lens(
@@ -103,6 +112,8 @@ def fit_lens(
         )
         final = replace(config, tolerances=config.tolerances[-1:])
         best = _settle(samples, best.camera, config=final, prior=prior)
+    if config.vanishing is not None:
+        best = _with_scale(best, samples, config)
     return _report(best, joined, config=config)
 
 
@@ -145,7 +156,8 @@ def _settle(
     for tolerance in config.tolerances:
         belief = prior or generic_prior(float(camera.k[0]), camera.width, camera.height)
         shares, noise = _curve_weights(samples, camera, tolerance * scale)
-        sigma = float(np.clip(noise, *(limit * scale for limit in config.sigma_range)))
+        least, most = config.sigma_range
+        sigma = min(max(noise, least * scale), most * scale)
         problem = _Problem(samples, belief, np.sqrt(shares)[samples.owner] / sigma, camera)
         solution = solve(
             problem.residuals,
@@ -220,7 +232,70 @@ def _report(
     rms = float(np.sqrt((every**2).mean())) if inliers else float("nan")
     error = predicted_error(best.camera, best.covariance)
     status, reason = judge(curves, best.camera, error)
-    return LensFit(best.camera, best.covariance, status, reason, curves, rms, error)
+    deviation = float(np.sqrt(_scale_variance(_scale_tangent(best.camera), best.covariance)))
+    return LensFit(
+        best.camera,
+        best.covariance,
+        status,
+        reason,
+        curves,
+        rms,
+        error,
+        best.scale_source,
+        deviation,
+    )
+
+
+def _with_scale(best: _Candidate, samples: CurveSamples, config: FitConfig) -> _Candidate:
+    """Fuse the fit's scale with that of orthogonal vanishing points by their variances.
+
+    One Kalman update along the only direction that lines leave open, ∂camera/∂log s.
+    """
+    assert config.vanishing is not None
+    estimate = _vanishing_scale(best.camera, samples, config)
+    if estimate is None:
+        return best
+    tangent = _scale_tangent(best.camera)
+    variance = _scale_variance(tangent, best.covariance)
+    gain = variance / (variance + estimate.deviation**2)
+    camera = rescaled(best.camera, float(np.exp(gain * estimate.log_scale)))
+    covariance = best.covariance - np.outer(tangent, tangent) * variance * gain
+    source: ScaleSource = "vanishing points" if gain > 0.5 else best.scale_source
+    return _Candidate(camera, covariance, source)
+
+
+def _vanishing_scale(
+    camera: KannalaBrandt, samples: CurveSamples, config: FitConfig
+) -> ScaleEstimate | None:
+    """Let the longest straight curves vote for the scale."""
+    assert config.vanishing is not None
+    scale = camera.width / _REFERENCE_WIDTH
+    few = samples.coarse(curves=config.vanishing.most_lines, most=12)
+    result = straightness(camera, few, np.ones(len(few.points)))
+    good = few.curve_rms(result.residuals) <= config.inlier_tolerance * scale
+    lengths = few.curve_sums(few.spans)[good]
+    # a line of length L and noise σ turns by about 2 √3 σ / L, and by as much more as L subtends
+    deviations = 2 * np.sqrt(3) * config.sigma_range[0] * scale / np.maximum(lengths, 1.0)
+    return scale_from_directions(
+        result.normals[good],
+        lengths / camera.width,
+        deviations,
+        rng=np.random.default_rng(0),
+        config=config.vanishing,
+    )
+
+
+def _scale_tangent(camera: KannalaBrandt) -> Float[np.ndarray, " 9"]:
+    """∂camera/∂log s of (tan θ)' = s tan θ, by central differences."""
+    step = 0.02
+    ahead, behind = (rescaled(camera, float(np.exp(sign * step))) for sign in (1, -1))
+    return (ahead.to_vector() - behind.to_vector()) / (2 * step)
+
+
+def _scale_variance(tangent: np.ndarray, covariance: np.ndarray) -> float:
+    """Variance of log s with everything else as the fit found it."""
+    free = covariance[np.ix_(FREE, FREE)]
+    return float(1 / (tangent[FREE] @ np.linalg.solve(free, tangent[FREE])))
 
 
 def _fitted(

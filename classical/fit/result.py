@@ -11,6 +11,7 @@ from jaxtyping import Float
 from classical.camera import KannalaBrandt
 
 Status = Literal["ok", "degraded", "failed"]
+ScaleSource = Literal["prior", "vanishing points"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,6 +45,9 @@ class LensFit:
         predicted_error_px: Expected error of rectified positions after the best similarity, in
             pixels of a 320 pixel wide frame with f = 160 px, over angles up to 60°; NaN without a
             camera.
+        scale_source: What fixed the absolute scale, which straightness leaves open.
+        scale_deviation: Standard deviation of the logarithm of the focal length, NaN without a
+            camera.
     """
 
     camera: KannalaBrandt | None
@@ -53,6 +57,8 @@ class LensFit:
     curves: tuple[tuple[FittedCurve, ...], ...]
     rms_px: float
     predicted_error_px: float
+    scale_source: ScaleSource = "prior"
+    scale_deviation: float = float("nan")
 
     @property
     def n_inliers(self) -> int:
