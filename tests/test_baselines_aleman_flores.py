@@ -285,6 +285,11 @@ def test_a_small_picture_answers_in_its_own_pixels():
     assert result.working.grey.shape == (640, 640)
     assert (result.model.width, result.model.height) == (320, 320)
     assert result.model.lambda_ == pytest.approx(k, rel=0.02)
+    curves = result.curves()
+    assert len(curves) == len(result.lines or ()) > 10
+    for curve in curves:
+        flat = result.model.undistort(curve)[0]
+        assert np.linalg.svd(flat - flat.mean(axis=0))[1][1] / np.sqrt(len(flat)) < 1.0
 
 
 @pytest.mark.parametrize("variant", ["2014", "2016"])

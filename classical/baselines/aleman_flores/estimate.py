@@ -24,7 +24,7 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
-from jaxtyping import UInt8
+from jaxtyping import Float, UInt8
 
 from classical.baselines.aleman_flores.cleaning import clean_edges
 from classical.baselines.aleman_flores.config import AlemanFloresConfig
@@ -84,6 +84,18 @@ class AlemanFloresResult:
 
     def __bool__(self) -> bool:
         return self.model is not None
+
+    def curves(self) -> list[Float[np.ndarray, "_ 2"]]:
+        """Points of each line in order along it, in pixels of the picture given."""
+        if self.lines is None:
+            return []
+        found = []
+        for line in range(len(self.lines)):
+            points = self.edges.points[self.lines.labels == line]
+            centred = points - points.mean(axis=0)
+            along = centred @ np.linalg.svd(centred, full_matrices=False)[2][0]
+            found.append(self.working.to_picture(points[np.argsort(along, kind="stable")]))
+        return found
 
 
 def estimate(

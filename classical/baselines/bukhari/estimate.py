@@ -79,6 +79,11 @@ class BukhariResult:
     def __bool__(self) -> bool:
         return self.model is not None
 
+    def curves(self) -> list[Float[np.ndarray, "_ 2"]]:
+        """Points of each arc in order, in pixels of the picture given; `inlier` goes with them."""
+        points = [arc.points for arc in self.arcs]
+        return points if self.working is None else [self.working.to_picture(p) for p in points]
+
 
 def estimate(
     image: UInt8[np.ndarray, "h w 3"] | UInt8[np.ndarray, "h w"],
