@@ -119,7 +119,7 @@ def seconds(times: Sequence[tuple[Method, Float[ndarray, " n"]]]) -> Figure:
     """Time of an estimate: a bar to the median, a whisker to the 90th percentile."""
     shown = [(method, values) for method, values in times if np.median(values) > 1e-3]
     figure, axes = _axes("Seconds a photograph: median, 90th percentile", "")
-    figure.set_size_inches(_SIZE[0], 0.9 + 0.42 * max(len(shown), 1))
+    figure.set_size_inches(_SIZE[0], 1.2 + 0.42 * max(len(shown), 1))
     for index, (method, values) in enumerate(shown[::-1]):
         middle, top = (float(np.percentile(values, share)) for share in (50, 90))
         axes.barh(index, middle, color=method.color, height=0.6)

@@ -12,7 +12,6 @@ import numpy as np
 from jaxtyping import Float64, UInt8
 from numpy import ndarray
 
-from classical.camera import Division, KannalaBrandt
 from eval.cases import Case, Suite, read_picture
 from eval.folder import RunFolder
 from eval.methods import IDENTITY, Method
@@ -168,11 +167,10 @@ def _leave_alone(pictures: Sequence[UInt8[ndarray, "h w 3"]]) -> list[Prediction
 def _ask(rectifier: Any, pictures: Sequence[UInt8[ndarray, "h w 3"]]) -> list[Prediction]:
     """Translate the calibration of photographs into a prediction for each."""
     found = rectifier.calibrate(pictures)
-    camera = found.camera if isinstance(found.camera, KannalaBrandt | Division) else None
     return [
         Prediction(
-            camera=camera,
-            status="failed" if camera is None else found.status,
+            camera=found.camera,
+            status="failed" if found.camera is None else found.status,
             reason=found.reason,
             predicted_error_px=found.quality.predicted_error_px,
             curves=tuple(np.asarray(curve.points, dtype=np.float32) for curve in curves),
