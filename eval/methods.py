@@ -44,8 +44,8 @@ METHODS = (
 """In the order of the tables."""
 
 TOGETHER = (
-    Method("classical-together", "Straightness fit, one for a camera", "#004a75", together=True),
-    Method("hybrid-together", "Straightlens, one fit for a camera", "#8f3f00", together=True),
+    Method("classical-together", "Straightness fit, one for a camera", "#8a6fd1", together=True),
+    Method("hybrid-together", "Straightlens, one fit for a camera", "#c43c39", together=True),
 )
 """Asked for by name only; they know more than the others: which pictures share a lens."""
 

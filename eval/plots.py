@@ -111,20 +111,20 @@ def trust(
     axes.set(xscale="log", yscale="log", xlim=span, ylim=span)
     for vertical in (False, True):
         _plain_ticks(axes, [0.1, 0.3, 1, 3, 10, 30, 100, 300], vertical=vertical)
-    _legend(axes)
+    _legend(axes, 1)
     return figure
 
 
 def seconds(times: Sequence[tuple[Method, Float[ndarray, " n"]]]) -> Figure:
     """Time of an estimate: a bar to the median, a whisker to the 90th percentile."""
     shown = [(method, values) for method, values in times if np.median(values) > 1e-3]
-    figure, axes = _axes("Seconds a photograph: median, 90th percentile", "")
+    figure, axes = _axes("Seconds a photograph", "")
     figure.set_size_inches(_SIZE[0], 1.2 + 0.42 * max(len(shown), 1))
     for index, (method, values) in enumerate(shown[::-1]):
         middle, top = (float(np.percentile(values, share)) for share in (50, 90))
         axes.barh(index, middle, color=method.color, height=0.6)
         axes.plot([middle, top], [index, index], color=_INK, linewidth=1.2)
-        axes.text(top * 1.1, index, f"{middle:.2g} s", va="center", fontsize=9)
+        axes.text(top, index, f"  {middle:.2g}", va="center", fontsize=9, color=_INK)
     axes.set_yticks(range(len(shown)), [method.full_name for method, _ in shown[::-1]])
     axes.grid(visible=False, axis="y")
     if shown:
@@ -177,9 +177,9 @@ def _line(method: Method) -> str:
     return "--" if method.tag == "identity" else "-"
 
 
-def _legend(axes: Axes) -> None:
+def _legend(axes: Axes, columns: int = 2) -> None:
     with mpl.rc_context(_STYLE):
-        axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.16), ncols=2)
+        axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.16), ncols=columns)
 
 
 def _plain_ticks(axes: Axes, ticks: Sequence[float | int], *, vertical: bool = False) -> None:

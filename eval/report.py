@@ -159,7 +159,10 @@ def _figures(suite: SuiteScores) -> Iterator[dict[str, str]]:
         yield _figure(plots.trust(trust), caption)
     times = [(row.method, row.values("seconds")) for row in suite.methods]
     if any(np.median(values) > 1e-3 for _, values in times):
-        yield _figure(plots.seconds(times), f"Time of an estimate on {suite.name}")
+        yield _figure(
+            plots.seconds(times),
+            f"Time of an estimate on {suite.name}: bar to the median, line to the 90th pct.",
+        )
 
 
 def _figure(figure: Any, caption: str) -> dict[str, str]:
