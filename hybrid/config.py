@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal
 
 from hybrid.methods import DEFAULT_METHOD, check_method
 
@@ -23,6 +24,8 @@ class RectifyConfig:
         size: (width, height) of the straight picture; None keeps the size of the input.
         interpolation: "linear", "cubic" or "lanczos".
         antialias: Smooth where the picture shrinks.
+        variant: "2014" or "2016", of the method aleman-flores.
+        weights: Weights of the networks, a safetensors file; None means those that ship.
         seed: Of every random choice, so that the same picture gives the same answer.
         threads: CPU threads to use; None leaves it to the libraries.
     """
@@ -34,6 +37,8 @@ class RectifyConfig:
     size: tuple[int, int] | None = None
     interpolation: str = "linear"
     antialias: bool = True
+    variant: Literal["2014", "2016"] = "2014"
+    weights: str | None = None
     seed: int = 0
     threads: int | None = None
 
@@ -56,5 +61,7 @@ class RectifyConfig:
             raise ValueError(
                 f"Expected interpolation in {_INTERPOLATIONS}, got {self.interpolation!r}."
             )
+        if self.variant not in ("2014", "2016"):
+            raise ValueError(f"Expected variant 2014 or 2016, got {self.variant!r}.")
         if self.threads is not None and self.threads < 1:
             raise ValueError(f"Expected threads >= 1, got {self.threads}.")

@@ -49,6 +49,22 @@ METHODS = (
         "edges of the picture made straight by a least-squares fit",
         "hybrid.estimators:ClassicalEstimator",
     ),
+    Method(
+        "learned", "LaRecNet alone, one look at the picture", "hybrid.networks:LearnedEstimator"
+    ),
+    Method(
+        "aleman-flores",
+        "Alemán-Flores et al. 2014 or 2016, division model",
+        "hybrid.baselines:AlemanFloresEstimator",
+    ),
+    Method(
+        "bukhari",
+        "Bukhari & Dailey 2013, division model from arcs",
+        "hybrid.baselines:BukhariEstimator",
+    ),
+    Method(
+        "rong", "Rong et al. 2016, division model by a network", "hybrid.networks:RongEstimator"
+    ),
     Method("identity", "nothing: the picture as it is", "hybrid.estimators:IdentityEstimator"),
 )
 DEFAULT_METHOD = METHODS[0].name

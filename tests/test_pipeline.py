@@ -283,7 +283,7 @@ def test_calibrate_refuses_nothing_and_mixed_sizes():
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"method": "magic"}, "classical, identity"),
+        ({"method": "magic"}, "classical, learned, .*identity"),
         ({"fov": 90.0, "balance": 0.5}, "fov and balance"),
         ({"fov": 180.0}, "fov"),
         ({"focal": 0.0}, "focal"),

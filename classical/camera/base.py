@@ -7,12 +7,13 @@ Each mapping returns its values and a mask `valid`; an invalid entry holds a fin
 
 from __future__ import annotations
 
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Bool, Float
 
 
+@runtime_checkable
 class Camera(Protocol):
     """A central camera: every pixel looks along one ray through one centre."""
 

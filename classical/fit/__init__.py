@@ -1,9 +1,12 @@
 """The straightness fit: curves in, lens out."""
 
+from classical.fit.fitted import fitted_curves as fitted_curves
 from classical.fit.plumb_line import FitConfig as FitConfig
 from classical.fit.plumb_line import fit_lens as fit_lens
 from classical.fit.prior import LensPrior as LensPrior
+from classical.fit.prior import fused as fused
 from classical.fit.prior import generic_prior as generic_prior
+from classical.fit.quality import predicted_error as predicted_error
 from classical.fit.result import FittedCurve as FittedCurve
 from classical.fit.result import LensFit as LensFit
 from classical.fit.search import SearchConfig as SearchConfig

@@ -6,12 +6,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 
 from classical.camera import KannalaBrandt
+from classical.fit.fitted import STRAIGHT_PX, fitted_curves
 from classical.fit.prior import FREE, LensPrior, generic_prior
 from classical.fit.quality import judge, predicted_error
-from classical.fit.result import FittedCurve, LensFit, ScaleSource
+from classical.fit.result import LensFit, ScaleSource
 from classical.fit.samples import CurveSamples, sample_curves
 from classical.fit.search import SearchConfig, search
 from classical.fit.solve import SolverConfig, solve
@@ -49,7 +50,7 @@ class FitConfig:
 
     sigma_range: tuple[float, float] = (0.2, 1.0)
     tolerances: tuple[float, ...] = (3.0, 1.5, 1.0, 1.0)
-    inlier_tolerance: float = 1.0
+    inlier_tolerance: float = STRAIGHT_PX
     spacing: float = 14.0
     max_curves: int = 120
     joinings: int = 1
@@ -226,7 +227,9 @@ def _report(
 ) -> LensFit:
     """All curves under the final lens, and how far to trust it."""
     tolerance = config.inlier_tolerance * best.camera.width / _REFERENCE_WIDTH
-    curves = tuple(_fitted(picture, best.camera, tolerance) for picture in curve_sets)
+    curves = tuple(
+        fitted_curves(picture, best.camera, tolerance=tolerance) for picture in curve_sets
+    )
     inliers = [curve for picture in curves for curve in picture if curve.inlier]
     every = np.concatenate([curve.residuals for curve in inliers]) if inliers else np.array([])
     rms = float(np.sqrt((every**2).mean())) if inliers else float("nan")
@@ -296,25 +299,6 @@ def _scale_variance(tangent: np.ndarray, covariance: np.ndarray) -> float:
     """Variance of log s with everything else as the fit found it."""
     free = covariance[np.ix_(FREE, FREE)]
     return float(1 / (tangent[FREE] @ np.linalg.solve(free, tangent[FREE])))
-
-
-def _fitted(
-    curves: Sequence[Curve], camera: KannalaBrandt, tolerance: float
-) -> tuple[FittedCurve, ...]:
-    if not curves:
-        return ()
-    counts = np.array([len(curve.points) for curve in curves])
-    starts = np.concatenate([[0], np.cumsum(counts)[:-1]])
-    points = np.concatenate([curve.points for curve in curves])
-    samples = CurveSamples(points, starts, np.ones(len(points)))
-    result = straightness(camera, samples, np.ones(len(points)))
-    rms = samples.curve_rms(result.residuals)
-    reached: Bool[np.ndarray, " curves"] = samples.curve_sums(~result.reached) == 0
-    parts = np.split(result.residuals, starts[1:])
-    return tuple(
-        FittedCurve(curve.points, part, float(value), bool(inside and value <= tolerance))
-        for curve, part, value, inside in zip(curves, parts, rms, reached, strict=True)
-    )
 
 
 def _failure(curve_sets: Sequence[Sequence[Curve]], reason: str) -> LensFit:

@@ -8,6 +8,7 @@ prior's residuals are z itself.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -73,6 +74,31 @@ class LensPrior:
     def decode(self, z: Float[np.ndarray, " 8"], width: int, height: int) -> KannalaBrandt:
         """The camera of z; ValueError if z leads to an impossible one (k1 ≤ 0, m_v ≤ 0)."""
         return KannalaBrandt.from_vector(self.mean + self.factor @ z, width, height)
+
+
+def fused(beliefs: Sequence[LensPrior], *, most: float = 2.0) -> LensPrior:
+    """One belief from many about one lens, the mean weighted by precision.
+
+    Beliefs of one source err alike, so together they count for no more than `most` of them.
+
+    Args:
+        beliefs: At least one.
+        most: Beliefs that count as independent.
+
+    Raises:
+        ValueError: If there is none.
+    """
+    if not beliefs:
+        raise ValueError("Expected at least one belief, got none.")
+    block = np.ix_(FREE, FREE)
+    precisions = [np.linalg.inv(belief.covariance[block]) for belief in beliefs]
+    together = np.linalg.inv(sum(precisions))
+    mean = beliefs[0].mean.copy()
+    pairs = zip(precisions, beliefs, strict=True)
+    mean[FREE] = together @ sum(precision @ belief.mean[FREE] for precision, belief in pairs)
+    covariance = np.zeros((9, 9))
+    covariance[block] = together * max(1.0, len(beliefs) / most)
+    return LensPrior(mean, covariance)
 
 
 def generic_prior(strength: float, width: int, height: int) -> LensPrior:

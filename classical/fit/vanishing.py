@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from classical.camera import KannalaBrandt
+from classical.camera import KannalaBrandt, radial_coefficients
 
 _HYPOTHESES = 250  # frames tried for each s
 _LEAST_DEVIATION = 0.03  # of log s: scenes are never quite orthogonal
@@ -109,10 +109,8 @@ def rescaled(camera: KannalaBrandt, scale: float) -> KannalaBrandt:
     widest = min(float(np.arccos(np.clip(rays[:, 2].min(), -1, 1))), camera.theta_max)
     theta = np.linspace(0.02, 1.0, 64) * widest
     moved = np.arctan2(scale * np.sin(theta), np.cos(theta))
-    powers = moved[:, None] ** (2 * np.arange(5) + 1)
-    k = np.linalg.lstsq(powers, camera.radius(theta), rcond=1e-10)[0]
     vector = camera.to_vector()
-    vector[:5] = k
+    vector[:5] = radial_coefficients(moved, camera.radius(theta))
     return KannalaBrandt.from_vector(vector, camera.width, camera.height)
 
 

@@ -1,0 +1,80 @@
+"""The networks as estimators; importing this module loads torch."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from jaxtyping import UInt8
+from numpy import ndarray
+
+from classical.camera import KannalaBrandt, nearest_kannala_brandt
+from classical.fit import LensPrior, fitted_curves, fused, predicted_error
+from classical.lines import curves_from_image
+from hybrid.config import RectifyConfig
+from hybrid.result import Calibration, Quality
+from learned.predictor import LensPrediction, Predictor, RongPredictor
+
+_TRUSTED_PX = 6.0  # expected error up to which the network alone is worth showing as it is
+
+
+class LearnedEstimator:
+    """LaRecNet alone: the lens by one forward pass a picture, fused over pictures of one lens."""
+
+    def __init__(self, config: RectifyConfig) -> None:
+        self._predictor = Predictor.from_weights(config.weights)
+
+    def __call__(self, pictures: Sequence[UInt8[ndarray, "h w 3"]]) -> Calibration:
+        """One lens for all pictures, with the curves it leaves for a check."""
+        predictions = [self._predictor.lens(picture) for picture in pictures]
+        belief = network_belief(predictions)
+        if belief is None:
+            nothing = tuple(() for _ in pictures)
+            return Calibration(None, nothing, Quality(), "failed", "the network gave no lens")
+        height, width = pictures[0].shape[:2]
+        camera = belief.decode(np.zeros(8), width, height)
+        curves = tuple(fitted_curves(curves_from_image(p), camera) for p in pictures)
+        inliers = [curve for picture in curves for curve in picture if curve.inlier]
+        error = predicted_error(camera, belief.covariance)
+        quality = Quality(
+            rms_px=float(np.sqrt(np.mean([c.residual_px**2 for c in inliers])))
+            if inliers
+            else float("nan"),
+            n_curves=sum(len(picture) for picture in curves),
+            n_inliers=len(inliers),
+            covariance=belief.covariance,
+            predicted_error_px=error,
+        )
+        if error <= _TRUSTED_PX:
+            return Calibration(camera, curves, quality, "ok", "the network is sure")
+        reason = f"the network is unsure: expected error {error:.1f} px"
+        return Calibration(camera, curves, quality, "degraded", reason)
+
+
+class RongEstimator:
+    """Rong et al., ACCV 2016: the division model as a class of a network."""
+
+    def __init__(self, config: RectifyConfig) -> None:
+        self._predictor = RongPredictor.from_weights(config.weights)
+
+    def __call__(self, pictures: Sequence[UInt8[ndarray, "h w 3"]]) -> Calibration:
+        """The picture of middling λ speaks for all of one lens."""
+        models = [self._predictor.lens(picture) for picture in pictures]
+        middle = sorted(models, key=lambda model: model.lambda_)[(len(models) - 1) // 2]
+        nothing = tuple(() for _ in pictures)
+        try:
+            camera: KannalaBrandt = nearest_kannala_brandt(middle)
+        except ValueError as error:
+            return Calibration(None, nothing, Quality(), "failed", str(error))
+        reason = "this method finds the shape of the distortion, no focal length"
+        return Calibration(camera, nothing, Quality(), "degraded", reason)
+
+
+def network_belief(predictions: Sequence[LensPrediction]) -> LensPrior | None:
+    """What the network believes of the one lens of all pictures, or None without an estimate."""
+    beliefs = [
+        LensPrior(prediction.camera.to_vector(), prediction.covariance)
+        for prediction in predictions
+        if prediction.camera is not None and prediction.covariance is not None
+    ]
+    return fused(beliefs) if beliefs else None
