@@ -359,18 +359,40 @@ def test_a_heatmap_beside_the_edge_is_pulled_to_it(lines, image):
     assert lengths @ np.array([rms(c, LENS) < 0.12 for c in curves]) > 0.8 * lengths.sum()
 
 
-def test_a_path_stays_on_one_side_of_a_bar():
+def picture_of_a_bar(contrast):
+    """A bar of width 5 with its axis from (20, 60) to (280, 130)."""
     v, u = np.mgrid[0:200, 0:300].astype(float)
     distance = (v - 60 - 0.27 * (u - 20)) / np.hypot(1, 0.27)
-    bar = np.clip(2.5 - np.abs(distance), 0, 1)
+    bar = np.clip(3 - np.abs(distance), 0, 1)
+    return np.round(80 + contrast * bar).astype(np.uint8)
+
+
+@pytest.mark.parametrize("contrast", [120, 5])  # 5: too faint for an edge by itself
+def test_every_curve_stays_on_one_side_of_a_bar(contrast):
     heat = np.zeros((100, 150), np.float32)
     cv2.line(heat, (10, 30), (140, 65), 1.0, 3, cv2.LINE_8)
-    curves = curves_from_heatmap(heat, np.round(80 + 120 * bar).astype(np.uint8))
-    assert len(curves) == 1
-    points = curves[0].points
-    across = (points[:, 1] - 60 - 0.27 * (points[:, 0] - 20)) / np.hypot(1, 0.27)
-    assert abs(abs(across.mean()) - 2) < 0.3
-    assert np.ptp(across) < 0.5
+    curves = curves_from_heatmap(heat, picture_of_a_bar(contrast))
+    assert 1 <= len(curves) <= 2
+    for curve in curves:
+        u, v = curve.points.T
+        across = (v - 60 - 0.27 * (u - 20)) / np.hypot(1, 0.27)
+        assert abs(abs(across.mean()) - 2.5) < 0.3
+        assert np.ptp(across) < 0.6
+
+
+def test_edges_where_the_heatmap_is_cold_give_no_curves(image, lines):
+    curves = curves_from_heatmap(heatmap_of(lines[:1], 0.5), image)
+    near = [np.abs(c.points[:, None] - lines[0].points).sum(-1).min(axis=1).mean() for c in curves]
+    assert len(curves) >= 1
+    assert max(near) < 6
+
+
+def test_strength_is_the_heat_beside_a_curve(image, lines):
+    heat = np.maximum(heatmap_of(lines[:1], 0.5), 0.4 * heatmap_of(lines[1:2], 0.5))
+    curves = curves_from_heatmap(heat, image)
+    long = sorted(curve.strength for curve in curves if curve.length > 200)
+    assert long[0] == pytest.approx(0.4, abs=0.1)
+    assert long[-1] == pytest.approx(1.0, abs=0.1)
 
 
 def test_heat_without_edges_keeps_its_centre_line_with_its_uncertainty():

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 _BORDER = 2  # pixels at the frame where neither gradient nor neighbours are whole
 _TINY = 1e-6
@@ -55,6 +55,17 @@ class EdgePoints:
     cells: Int[np.ndarray, " n"]
     height: int
     width: int
+
+    def chosen(self, keep: Bool[np.ndarray, " n"]) -> EdgePoints:
+        """The points for which `keep` holds."""
+        return EdgePoints(
+            self.points[keep],
+            self.normals[keep],
+            self.contrast[keep],
+            self.cells[keep],
+            self.height,
+            self.width,
+        )
 
 
 def detect_edges(

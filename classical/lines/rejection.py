@@ -49,12 +49,16 @@ class Surround:
     """The even region around an image circle.
 
     Attributes:
+        width: Picture width, pixels.
+        height: Picture height, pixels.
         inside: Distance from each pixel of a reduced picture to the surround, in pixels of the
             full picture; infinite if there is no surround.
         scale: Reduced pixels per pixel.
         radius: Distance from the picture's centre to the farthest pixel inside.
     """
 
+    width: int
+    height: int
     inside: Float[np.ndarray, "h w"]
     scale: float
     radius: float
@@ -74,12 +78,12 @@ def find_surround(grey: Float[np.ndarray, "h w"]) -> Surround:
     outside = _flood_corners(small)
     half_diagonal = 0.5 * float(np.hypot(height, width))
     if outside.mean() < 0.01:
-        return Surround(np.full(small.shape, np.inf), scale, half_diagonal)
+        return Surround(width, height, np.full(small.shape, np.inf), scale, half_diagonal)
     inside = cv2.distanceTransform((~outside).astype(np.uint8), cv2.DIST_L2, 5) / scale
     v, u = np.nonzero(~outside)
     offset = np.hypot(u - (size[0] - 1) / 2, v - (size[1] - 1) / 2)
     radius = float(np.quantile(offset, 0.999)) / scale if len(offset) else half_diagonal
-    return Surround(inside, scale, min(radius, half_diagonal))
+    return Surround(width, height, inside, scale, min(radius, half_diagonal))
 
 
 def _flood_corners(small: np.ndarray, tolerance: int = 6) -> np.ndarray:

@@ -50,10 +50,7 @@ def detect_ridges(
     height, width = heatmap.shape
     if min(height, width) < 5:
         return empty_edge_points(height, width)
-    heat = cv2.GaussianBlur(
-        heatmap.astype(np.float32), (0, 0), config.sigma, borderType=cv2.BORDER_CONSTANT
-    )
-    threshold = max(config.min_heat * float(heat.max()), config.min_heat_absolute)
+    heat, threshold = smoothed_heat(heatmap, config)
     hot = heat > threshold
     hot[:2] = hot[-2:] = hot[:, :2] = hot[:, -2:] = False
     cells = np.flatnonzero(hot)
@@ -76,6 +73,16 @@ def detect_ridges(
     points = np.stack([cells % width, cells // width], axis=1) + offset
     contrast = heat.ravel()[cells].astype(np.float64)
     return EdgePoints(points, normals, contrast, cells, height, width)
+
+
+def smoothed_heat(
+    heatmap: Float[np.ndarray, "h w"], config: RidgeConfig
+) -> tuple[Float[np.ndarray, "h w"], float]:
+    """The blurred heatmap, float32, and the heat above which a pixel is hot."""
+    heat = cv2.GaussianBlur(
+        heatmap.astype(np.float32), (0, 0), config.sigma, borderType=cv2.BORDER_CONSTANT
+    )
+    return heat, max(config.min_heat * float(heat.max()), config.min_heat_absolute)
 
 
 def _derivatives(heat: np.ndarray, cells: np.ndarray, width: int) -> tuple[np.ndarray, ...]:

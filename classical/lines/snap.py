@@ -116,6 +116,8 @@ def even_nodes(
 def sample(grey: np.ndarray, points: np.ndarray) -> np.ndarray:
     """Bilinear samples of a picture, float32, shape of `points` without its last axis."""
     flat = points.reshape(-1, 2).astype(np.float32)
+    if not len(flat):
+        return np.empty(points.shape[:-1], np.float32)
     rows = -(-len(flat) // _TILE)
     padded = np.zeros((rows * _TILE, 2), np.float32)
     padded[: len(flat)] = flat

@@ -1,38 +1,28 @@
 """The vectoriser: from a picture, or from a heatmap beside it, to curves.
 
-Both sources give points (edges of the picture, ridges of the heatmap), and all that follows is the
-same: points are linked to chains, chains are cut into smooth arcs, arcs are joined, what no lens
-could have made of a line is dropped, and positions are refined on the full picture.
+A picture gives edge points. A heatmap gives those of them that lie where it is hot; and where the
+picture has no edge that is good enough by itself, its own centre lines, snapped to what edge there
+is. All that follows is the same, see `arcs`.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import cv2
 import numpy as np
 from jaxtyping import Float, UInt8
 
-from classical.lines.chains import link_points
-from classical.lines.circle import on_border_circle
+from classical.lines.arcs import Arcs, finish_curves, link_arcs, longest_arcs, plausible_arcs
 from classical.lines.continuation import ContinuationConfig, continue_arcs
 from classical.lines.curve import Curve
 from classical.lines.edges import EdgeConfig, EdgePoints, detect_edges
-from classical.lines.rejection import (
-    RejectionConfig,
-    beside_frame,
-    beside_surround,
-    find_surround,
-    impossible_bend,
-)
-from classical.lines.ridges import RidgeConfig, detect_ridges
-from classical.lines.smooth import SmoothConfig, fit_by_length, inliers, smooth_arcs
-from classical.lines.snap import SnapConfig, snap_to_edges
+from classical.lines.rejection import RejectionConfig, Surround, find_surround
+from classical.lines.ridges import RidgeConfig, detect_ridges, smoothed_heat
+from classical.lines.smooth import SmoothConfig, inliers, smooth_arcs
+from classical.lines.snap import SnapConfig, sample, snap_to_edges
 
-_MIN_SIGMA = 0.05  # pixels; no edge is placed better
-_OUTLIER_FLOOR = 0.25  # working pixels; points nearer to their arc than this are never dropped
-_SNAP_FLOOR = 0.6  # the same after snapping, where the path may still follow two edges
-_HALF_CONTRAST = 20.0  # grey levels at which an edge has strength 1/2
+_SNAP_FLOOR = 0.6  # working pixels; a snapped path may still follow two edges in turn
 
 
 @dataclass(frozen=True)
@@ -71,75 +61,43 @@ class HeatmapCurvesConfig:
     """How curves are taken from a heatmap.
 
     Attributes:
-        max_size: Larger pictures are reduced to this longest side for snapping, pixels; positions
-            are refined on the full picture afterwards.
+        image: How edges of the picture become curves where the heatmap is hot.
         reach: Edges are sought this far beside a centre line, pixels of the heatmap.
-        min_length: Shortest curve, pixels of the heatmap.
+        min_length: Shortest centre line, pixels of the heatmap.
         min_found: Curves along which a smaller share of points has an edge stay on their centre
             line, with the larger uncertainty of it.
         centre_sigma: Standard deviation of such a centre line, pixels of the heatmap.
-        max_curves: At most so many curves are returned, the longest ones.
-        ridges: What counts as a ridge.
+        min_heat: Smallest mean heat beside a curve, as a share of the hottest pixel.
+        max_covered: Centre lines of which a larger share lies beside curves are not used.
+        ridges: What counts as a ridge, and as hot.
         smooth: What counts as a smooth arc of the heatmap.
         continuation: When arcs of the heatmap are joined.
         snapping: How edges beside a centre line are found.
-        snapped: What counts as a smooth arc of edges.
-        rejection: What no lens could have made.
-        refinement: How positions are refined when the picture was reduced.
+        snapped: What counts as a smooth arc of edges beside a centre line.
     """
 
-    max_size: int = 1600
+    image: ImageCurvesConfig = field(
+        default_factory=lambda: ImageCurvesConfig(min_length_share=0.02)
+    )
     reach: float = 1.5
     min_length: float = 10.0
     min_found: float = 0.4
     centre_sigma: float = 0.4
-    max_curves: int = 300
+    min_heat: float = 0.15
+    max_covered: float = 0.4
     ridges: RidgeConfig = field(default_factory=RidgeConfig)
     smooth: SmoothConfig = field(
         default_factory=lambda: SmoothConfig(
-            min_points=5, corner_reach=4, corner_angle=0.5, trim=1, max_rms=0.4
+            min_points=5, corner_reach=4, corner_angle=0.5, trim=1, max_rms=0.5
         )
     )
     continuation: ContinuationConfig = field(
-        default_factory=lambda: ContinuationConfig(max_gap=16.0, max_gap_share=1.0, max_rms=0.4)
+        default_factory=lambda: ContinuationConfig(max_gap=16.0, max_gap_share=1.0, max_rms=0.5)
     )
-    snapping: SnapConfig = field(default_factory=SnapConfig)
+    snapping: SnapConfig = field(default_factory=lambda: SnapConfig(min_contrast=3.0))
     snapped: SmoothConfig = field(
         default_factory=lambda: SmoothConfig(trim=2, corner_angle=0.5, max_rms=0.4)
     )
-    rejection: RejectionConfig = field(default_factory=RejectionConfig)
-    refinement: SnapConfig = field(default_factory=lambda: SnapConfig(spacing=2.0, sigma=1.6))
-
-
-@dataclass(frozen=True)
-class _Arcs:
-    """Pieces of points in order; one value of `contrast` a point."""
-
-    points: Float[np.ndarray, "m 2"]
-    contrast: Float[np.ndarray, " m"]
-    offsets: np.ndarray
-
-    def taken(self, selected: np.ndarray, offsets: np.ndarray) -> _Arcs:
-        return _Arcs(self.points[selected], self.contrast[selected], offsets)
-
-    def chosen(self, keep: np.ndarray) -> _Arcs:
-        """The pieces for which `keep` holds."""
-        lengths = np.diff(self.offsets)
-        inside = np.repeat(keep, lengths)
-        offsets = np.concatenate([[0], np.cumsum(lengths[keep])])
-        return _Arcs(self.points[inside], self.contrast[inside], offsets)
-
-    def only(self, inside: np.ndarray) -> _Arcs:
-        """All pieces with those of their points for which `inside` holds."""
-        counts = np.add.reduceat(inside.astype(np.int64), self.offsets[:-1])
-        offsets = np.concatenate([[0], np.cumsum(counts)])
-        return _Arcs(self.points[inside], self.contrast[inside], offsets)
-
-    def chords(self) -> np.ndarray:
-        return np.hypot(*(self.points[self.offsets[1:] - 1] - self.points[self.offsets[:-1]]).T)
-
-    def __len__(self) -> int:
-        return len(self.offsets) - 1
 
 
 def curves_from_image(
@@ -155,14 +113,10 @@ def curves_from_image(
         Curves in pixels of `image`, the longest first.
     """
     full = _grey(image)
-    work, scale = _working_picture(full, config.max_size, config.min_size)
-    edges = detect_edges(work, config=config.edges)
-    arcs = _arcs_of(edges, True, config.smooth, config.continuation)
-    shortest = max(config.min_length, config.min_length_share * max(work.shape))
-    arcs = arcs.chosen(arcs.chords() >= shortest)
-    arcs = _plausible(arcs, work, config.rejection)
-    arcs = _longest(arcs, config.max_curves)
-    return _finished(arcs, full, scale, config.refinement)
+    work, scale = _working_picture(full, config)
+    arcs = _edge_arcs(detect_edges(work, config=config.edges), find_surround(work), config)
+    arcs = longest_arcs(arcs, config.max_curves)
+    return finish_curves(arcs, full, scale, config.refinement)
 
 
 def curves_from_heatmap(
@@ -184,24 +138,26 @@ def curves_from_heatmap(
     if heatmap.ndim != 2:
         raise ValueError(f"Expected a heatmap of shape (h, w), got {heatmap.shape}.")
     full = _grey(image)
-    work, scale = _working_picture(full, config.max_size, 0)
+    work, scale = _working_picture(full, config.image)
+    wide, threshold = _wide_heat(heatmap, config)
     ridges = detect_ridges(heatmap, config=config.ridges)
-    centre = _arcs_of(ridges, False, config.smooth, config.continuation)
-    centre = centre.chosen(centre.chords() >= config.min_length)
-    if not len(centre):
-        return []
-    ratio = scale * full.shape[::-1] / np.array(heatmap.shape[::-1])
-    centre = _Arcs((centre.points + 0.5) * ratio - 0.5, centre.contrast, centre.offsets)
-    arcs, unsnapped = _snapped(centre, work, float(ratio.mean()), config)
-    arcs = _longest(_plausible(arcs, work, config.rejection), config.max_curves)
-    unsnapped = _longest(_plausible(unsnapped, work, config.rejection), config.max_curves)
-    curves = _finished(arcs, full, scale, config.refinement)
-    sigma = config.centre_sigma * float((ratio / scale).mean())
-    curves += [
-        Curve((unsnapped.points[a:b] + 0.5) / scale - 0.5, sigma, 0.1)
-        for a, b in zip(unsnapped.offsets[:-1], unsnapped.offsets[1:], strict=True)
+    edges = _hot_edges(detect_edges(work, config=config.image.edges), wide, threshold)
+    edges = _along_ridges(edges, ridges, config.reach)
+    surround = find_surround(work)
+    arcs = _edge_arcs(edges, surround, config.image)
+    centre = _centre_lines(ridges, arcs, work, config)
+    snapped, unsnapped = _snapped(centre, work, work.shape[1] / heatmap.shape[1], surround, config)
+    curves = [
+        curve
+        for part in (arcs, snapped)
+        for curve in finish_curves(part, full, scale, config.image.refinement)
     ]
-    return sorted(curves, key=lambda curve: -curve.length)[: config.max_curves]
+    sigma = config.centre_sigma * full.shape[1] / heatmap.shape[1]
+    for start, stop in zip(unsnapped.offsets[:-1], unsnapped.offsets[1:], strict=True):
+        points = (unsnapped.points[start:stop] + 0.5) / scale - 0.5
+        curves.append(Curve(points, sigma, 0.0))
+    curves = [curve for curve in _heated(curves, wide, full) if curve.strength >= config.min_heat]
+    return sorted(curves, key=lambda curve: -curve.length)[: config.image.max_curves]
 
 
 def _grey(image: np.ndarray) -> np.ndarray:
@@ -215,12 +171,12 @@ def _grey(image: np.ndarray) -> np.ndarray:
     return cv2.cvtColor(np.ascontiguousarray(image), cv2.COLOR_RGB2GRAY)
 
 
-def _working_picture(
-    grey: np.ndarray, max_size: int, min_size: int
-) -> tuple[np.ndarray, np.ndarray]:
+def _working_picture(grey: np.ndarray, config: ImageCurvesConfig) -> tuple[np.ndarray, np.ndarray]:
     """Float picture of a workable size, and its pixels per pixel of the input along u and v."""
     longest = max(grey.shape)
-    scale = max_size / longest if longest > max_size else min(max(min_size / longest, 1.0), 2.0)
+    scale = min(max(config.min_size / longest, 1.0), 2.0)
+    if longest > config.max_size:
+        scale = config.max_size / longest
     height, width = grey.shape
     size = (max(1, round(width * scale)), max(1, round(height * scale)))
     if scale != 1.0:
@@ -229,93 +185,113 @@ def _working_picture(
     return grey.astype(np.float32), np.array([size[0] / width, size[1] / height])
 
 
-def _arcs_of(
-    source: EdgePoints, directed: bool, smooth: SmoothConfig, continuation: ContinuationConfig
-) -> _Arcs:
-    """Points linked, cut into smooth arcs and joined."""
-    chains = link_points(source, directed=directed, min_points=smooth.min_points)
-    arcs = _Arcs(source.points[chains.order], source.contrast[chains.order], chains.offsets)
-    arcs = arcs.taken(*smooth_arcs(arcs.points, arcs.offsets, config=smooth))
-    return arcs.taken(*continue_arcs(arcs.points, arcs.offsets, config=continuation))
+def _edge_arcs(edges: EdgePoints, surround: Surround, config: ImageCurvesConfig) -> Arcs:
+    """Long enough smooth arcs of edges that a lens could have made of lines."""
+    arcs = link_arcs(edges, directed=True, smooth=config.smooth, continuation=config.continuation)
+    shortest = max(config.min_length, config.min_length_share * max(edges.width, edges.height))
+    arcs = arcs.chosen(arcs.chords() >= shortest)
+    return plausible_arcs(arcs, surround, config.rejection)
+
+
+def _wide_heat(heatmap: np.ndarray, config: HeatmapCurvesConfig) -> tuple[np.ndarray, float]:
+    """The largest heat within reach of each pixel, and the heat above which a pixel is hot."""
+    heat, threshold = smoothed_heat(heatmap, config.ridges)
+    size = 2 * int(np.ceil(config.reach)) + 1
+    return cv2.dilate(heat, cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (size, size))), threshold
+
+
+def _hot_edges(edges: EdgePoints, wide: np.ndarray, threshold: float) -> EdgePoints:
+    """Edge points within reach of hot pixels."""
+    return edges.chosen(sample(wide, _rescaled(edges, *wide.shape)) > threshold)
+
+
+def _along_ridges(edges: EdgePoints, ridges: EdgePoints, reach: float) -> EdgePoints:
+    """Edge points whose direction is nearer along the ridges around them than across.
+
+    Without this, whatever crosses a hot line would leave a stub. Directions are averaged by their
+    doubled angles, for which opposite normals are the same.
+    """
+    field_of_normals = np.zeros((2, ridges.height * ridges.width), np.float32)
+    field_of_normals[:, ridges.cells] = _doubled(ridges.normals)
+    places = _rescaled(edges, ridges.height, ridges.width)
+    agreement = np.zeros(len(edges.points))
+    for component, normal in zip(field_of_normals, _doubled(edges.normals), strict=True):
+        smooth = cv2.GaussianBlur(component.reshape(ridges.height, ridges.width), (0, 0), reach)
+        agreement += sample(smooth, places) * normal
+    return edges.chosen(agreement > 0)
+
+
+def _doubled(normals: np.ndarray) -> np.ndarray:
+    """Cosine and sine of twice the angle of unit vectors, shape (2, n)."""
+    u, v = normals.T
+    return np.stack([u * u - v * v, 2 * u * v])
+
+
+def _rescaled(edges: EdgePoints, height: int, width: int) -> np.ndarray:
+    """Edge points in pixels of the same picture at another size."""
+    ratio = np.array([width / edges.width, height / edges.height])
+    return (edges.points + 0.5) * ratio - 0.5
+
+
+def _heated(curves: list[Curve], wide: np.ndarray, full: np.ndarray) -> list[Curve]:
+    """The curves with the mean heat along them as their strength, the hottest pixel being 1."""
+    if not curves:
+        return []
+    ratio = np.array([full.shape[1] / wide.shape[1], full.shape[0] / wide.shape[0]])
+    points = (np.concatenate([curve.points for curve in curves]) + 0.5) / ratio - 0.5
+    heat = sample(wide, points) / max(float(wide.max()), 1e-9)
+    stops = np.cumsum([len(curve.points) for curve in curves])
+    parts = np.split(heat, stops[:-1])
+    return [
+        replace(curve, strength=float(np.clip(part.mean(), 0, 1)))
+        for curve, part in zip(curves, parts, strict=True)
+    ]
+
+
+def _centre_lines(
+    ridges: EdgePoints, arcs: Arcs, work: np.ndarray, config: HeatmapCurvesConfig
+) -> Arcs:
+    """Ridges of the heatmap that no arc covers yet, in pixels of the working picture."""
+    centre = link_arcs(
+        ridges, directed=False, smooth=config.smooth, continuation=config.continuation
+    )
+    centre = centre.chosen(centre.chords() >= config.min_length)
+    height, width = ridges.height, ridges.width
+    ratio = np.array([work.shape[1] / width, work.shape[0] / height])
+    covered = np.zeros((height, width), np.uint8)
+    cell = np.round((arcs.points + 0.5) / ratio - 0.5).astype(int)
+    covered[cell[:, 1].clip(0, height - 1), cell[:, 0].clip(0, width - 1)] = 1
+    covered = cv2.dilate(covered, np.ones((5, 5), np.uint8))
+    cell = np.round(centre.points).astype(int)
+    flags = covered[cell[:, 1], cell[:, 0]] > 0
+    centre = Arcs((centre.points + 0.5) * ratio - 0.5, centre.contrast, centre.offsets)
+    return centre.chosen(centre.share(flags) <= config.max_covered)
 
 
 def _snapped(
-    centre: _Arcs, work: np.ndarray, ratio: float, config: HeatmapCurvesConfig
-) -> tuple[_Arcs, _Arcs]:
+    centre: Arcs,
+    work: np.ndarray,
+    ratio: float,
+    surround: Surround,
+    config: HeatmapCurvesConfig,
+) -> tuple[Arcs, Arcs]:
     """Centre lines moved to edges, and those beside which there is none."""
+    if not len(centre):
+        return centre, centre
     reach = max(config.reach * ratio, 2.0)
     snapped = snap_to_edges(
         work, centre.points, centre.offsets, reach=reach, config=config.snapping
     )
-    counts = np.diff(snapped.offsets)
-    share = np.add.reduceat(snapped.found.astype(float), snapped.offsets[:-1]) / counts
-    on_edge = share >= config.min_found
-    arcs = _Arcs(snapped.points, snapped.contrast, snapped.offsets)
+    arcs = Arcs(snapped.points, snapped.contrast, snapped.offsets)
+    on_edge = arcs.share(snapped.found) >= config.min_found
     arcs = arcs.chosen(on_edge)
     if len(arcs):
-        arcs = arcs.only(snapped.found[np.repeat(on_edge, counts)])
+        arcs = arcs.only(snapped.found[np.repeat(on_edge, np.diff(snapped.offsets))])
         arcs = arcs.only(inliers(arcs.points, arcs.offsets, floor=_SNAP_FLOOR))
     arcs = arcs.taken(*smooth_arcs(arcs.points, arcs.offsets, config=config.snapped))
     arcs = arcs.taken(*continue_arcs(arcs.points, arcs.offsets))
-    return arcs, centre.chosen(~on_edge)
-
-
-def _plausible(arcs: _Arcs, work: np.ndarray, config: RejectionConfig) -> _Arcs:
-    """Arcs that a lens could have made of lines."""
-    if not len(arcs):
-        return arcs
-    height, width = work.shape
-    surround = find_surround(work)
-    reject = beside_surround(arcs.points, arcs.offsets, surround, config=config)
-    reject |= beside_frame(arcs.points, arcs.offsets, width, height, config=config)
-    reject |= on_border_circle(arcs.points, arcs.offsets, width, height, config=config.circle)
-    reject |= impossible_bend(
-        arcs.points, arcs.offsets, width, height, surround.radius, config=config
-    )
-    return arcs.chosen(~reject)
-
-
-def _longest(arcs: _Arcs, most: int) -> _Arcs:
-    """The longest arcs, in the order in which they came."""
-    if len(arcs) <= most:
-        return arcs
-    chords = arcs.chords()
-    return arcs.chosen(chords >= np.sort(chords)[-most])
-
-
-def _finished(
-    arcs: _Arcs, full: np.ndarray, scale: np.ndarray, refinement: SnapConfig
-) -> list[Curve]:
-    """Curves of the full picture from arcs of the working picture."""
-    if not len(arcs):
-        return []
-    arcs = _Arcs((arcs.points + 0.5) / scale - 0.5, arcs.contrast, arcs.offsets)
-    pixels = 1 / float(scale.mean())  # of the full picture per working pixel
-    if pixels > 1:
-        arcs = _refined(arcs, full, 1.5 * pixels, refinement)
-    near = inliers(arcs.points, arcs.offsets, floor=_OUTLIER_FLOOR * pixels)
-    arcs = arcs.only(near)
-    rms_of_arcs = fit_by_length(arcs.points, arcs.offsets).rms
-    curves = []
-    for rms, start, stop in zip(rms_of_arcs, arcs.offsets[:-1], arcs.offsets[1:], strict=True):
-        level = float(np.median(arcs.contrast[start:stop]))
-        strength = level / (level + _HALF_CONTRAST)
-        curves.append(Curve(arcs.points[start:stop], max(float(rms), _MIN_SIGMA), strength))
-    return sorted(curves, key=lambda curve: -curve.length)
-
-
-def _refined(arcs: _Arcs, full: np.ndarray, reach: float, config: SnapConfig) -> _Arcs:
-    """Points placed again on the full picture; curves along which that finds little stay."""
-    snapped = snap_to_edges(full, arcs.points, arcs.offsets, reach=reach, config=config)
-    counts = np.diff(snapped.offsets)
-    share = np.add.reduceat(snapped.found.astype(float), snapped.offsets[:-1]) / counts
-    well = share >= 0.5
-    moved = _Arcs(snapped.points, snapped.contrast, snapped.offsets).chosen(well)
-    if well.any():
-        moved = moved.only(snapped.found[np.repeat(well, counts)])
-    left = arcs.chosen(~well)
-    return _Arcs(
-        np.concatenate([moved.points, left.points]),
-        np.concatenate([moved.contrast, left.contrast]),
-        np.concatenate([moved.offsets, moved.offsets[-1] + left.offsets[1:]]),
+    rejection = config.image.rejection
+    return (
+        plausible_arcs(arcs, surround, rejection),
+        plausible_arcs(centre.chosen(~on_edge), surround, rejection),
     )
