@@ -110,14 +110,68 @@ def _mirrored(
 
 def box_segments(atlas: Atlas, boxes: Boxes) -> Segments3D:
     """Edges of all boxes and lines of all pictures on them, in camera coordinates."""
-    ends, row, box = _merge_lists(_edge_list(boxes), _picture_list(atlas, boxes))
+    edges, lines = edge_segments(boxes), pattern_segments(atlas, boxes)
+    row = torch.cat([edges.row, lines.row])
     order = torch.argsort(row, stable=True)
-    ends, row, box = ends[order], row[order], box[order]
+    start = torch.cat([edges.start, lines.start])[order]
+    return Segments3D(start, torch.cat([edges.end, lines.end])[order], row[order])
+
+
+def edge_segments(boxes: Boxes, *, with_room: bool = True) -> Segments3D:
+    """Twelve edges of every box, in camera coordinates.
+
+    Args:
+        boxes: The scenes.
+        with_room: Whether box 0 counts; it does not where it is only a ground.
+    """
+    ends, row, box = _edge_list(boxes)
+    if not with_room:
+        ends, row, box = ends[box > 0], row[box > 0], box[box > 0]
+    return _seen_from_camera(boxes, ends, row, box)
+
+
+def pattern_segments(atlas: Atlas, boxes: Boxes) -> Segments3D:
+    """Lines of all pictures on all faces, in camera coordinates."""
+    return _seen_from_camera(boxes, *_picture_list(atlas, boxes))
+
+
+def _seen_from_camera(boxes: Boxes, ends: Tensor, row: Tensor, box: Tensor) -> Segments3D:
     cosine, sine = torch.cos(boxes.yaw[row, box]), torch.sin(boxes.yaw[row, box])
     world = _turned(ends.movedim(2, 0), cosine[:, None], sine[:, None])
     world = torch.stack(world, dim=2) + boxes.centre[row, box][:, None]
     camera = torch.einsum("nji,nej->nei", boxes.rotation[row], world - boxes.position[row][:, None])
     return Segments3D(camera[:, 0], camera[:, 1], row)
+
+
+def first_hits(
+    boxes: Boxes, rays: Float[Tensor, "n 3"], row: Int[Tensor, " n"]
+) -> tuple[Float[Tensor, " n"], Int[Tensor, " n"], Int[Tensor, " n"]]:
+    """What single rays meet first.
+
+    Args:
+        boxes: The scenes.
+        rays: Unit directions in camera coordinates.
+        row: Scene of each ray.
+
+    Returns:
+        depth: Distance in metres.
+        owner: Box that is met.
+        face: Its face.
+    """
+    world = torch.einsum("nij,nj->ni", boxes.rotation[row], rays)
+    eye = boxes.position[row] - boxes.centre[row, 0]
+    distance = (boxes.half[row, 0].copysign(world) - eye) * _safe_inverse(world)
+    depth, axis = distance.min(dim=1)
+    face = 2 * axis + (world.gather(1, axis[:, None])[:, 0] > 0)
+    owner = torch.zeros_like(face)
+    for k in range(1, boxes.half.shape[1]):
+        enter, leave, near, _, local = _slabs(boxes, world.movedim(1, 0), k, row)
+        hit = torch.nonzero((enter < leave) & (enter > 0) & (enter < depth))[:, 0]
+        if len(hit):
+            direction = torch.stack(local)[near[hit], hit]
+            depth[hit], owner[hit] = enter[hit], k
+            face[hit] = 2 * near[hit] + (direction < 0)
+    return depth, owner, face
 
 
 def box_visibility(
@@ -289,9 +343,3 @@ def _on_face(flat: Tensor, face: Tensor, half: Tensor) -> Tensor:
     y = torch.where(is_y, wall[1], second)
     z = torch.where(is_z, wall[2], torch.where(is_x, first, second))
     return torch.stack([x, y, z], dim=2)
-
-
-def _merge_lists(
-    a: tuple[Tensor, Tensor, Tensor], b: tuple[Tensor, Tensor, Tensor]
-) -> tuple[Tensor, Tensor, Tensor]:
-    return torch.cat([a[0], b[0]]), torch.cat([a[1], b[1]]), torch.cat([a[2], b[2]])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -16,7 +17,9 @@ if TYPE_CHECKING:
 _EXISTING_FOLDER = click.Path(exists=True, file_okay=False, path_type=Path)
 
 
-def _set_options(*, size: int, prior: str) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
+def _set_options(
+    *, size: int, prior: str | None
+) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
     """Options that every set has."""
     options = [
         click.option("--out", required=True, type=click.Path(path_type=Path), help="Folder."),
@@ -30,12 +33,13 @@ def _set_options(*, size: int, prior: str) -> Callable[[Callable[..., Any]], Cal
             help="Width and height of the pictures in pixels.",
         ),
         click.option(
-            "--prior", default=prior, show_default=True, type=click.Choice(["paper", "wild"])
-        ),
-        click.option(
             "--photometry/--clean", default=False, help="Noise, blur, compression and the like."
         ),
     ]
+
+    if prior is not None:
+        named = click.Choice(["paper", "wild"])
+        options.append(click.option("--prior", default=prior, show_default=True, type=named))
 
     def add(command: Callable[..., Any]) -> Callable[..., Any]:
         for option in reversed(options):
@@ -75,6 +79,40 @@ def panoramas(folder: Path, **options: Any) -> None:
 
     paths = _checked(picture_paths, folder)
     _make("panoramas", paths, folder, lambda i, c: make_panorama_cut(paths, i, c), options)
+
+
+@synthesize.command()
+@click.option(
+    "--prior",
+    default="equisolid",
+    show_default=True,
+    type=click.Choice(["equisolid", "paper", "wild"]),
+    help="Equisolid is the paper's single lens.",
+)
+@click.option(
+    "--blender-python",
+    default=sys.executable,
+    help="Interpreter with bpy 4.5; best an environment of its own. Default: this one.",
+)
+@click.option("--samples", default=4, show_default=True, type=click.IntRange(1), help="A pixel.")
+@click.option("--threads", default=2, show_default=True, type=click.IntRange(1))
+@_set_options(size=320, prior=None)
+def rooms(blender_python: str, samples: int, threads: int, **options: Any) -> None:
+    """Render furnished rooms and streets with a perspective twin of every picture."""
+    import tempfile
+
+    from learned.slf.rooms.render import Renderer, make_room, open_studio
+
+    config = _config(options)
+    settings = {**_settings(options), "samples": samples}
+    folder = begun(options["out"], "rooms", settings)
+    renderer = Renderer(blender_python, samples=samples, threads=threads)
+    with tempfile.TemporaryDirectory(prefix="textures-") as textures, renderer:
+        studio = open_studio(renderer, Path(textures), seed=options["seed"])
+        try:
+            finish(folder, lambda i: make_room(studio, i, config), options["count"])
+        except RuntimeError as error:
+            raise click.ClickException(str(error)) from error
 
 
 @synthesize.command()
@@ -121,23 +159,29 @@ def _make(
     options: dict[str, Any],
 ) -> None:
     """Begin or go on with a set, then write its card."""
-    from learned.slf.photometry import PhotometryCfg
-    from learned.slf.synthesis import SetCfg
-
-    config = SetCfg(
-        prior=options["prior"],
-        size=options["size"],
-        seed=options["seed"],
-        photometry=PhotometryCfg() if options["photometry"] else None,
-    )
+    config = _config(options)
     names = "\n".join(path.relative_to(root).as_posix() for path in sources)
     settings = {
-        **{name: options[name] for name in ("seed", "count", "size", "prior", "photometry")},
+        **_settings(options),
         "sources": len(sources),
         "sources_sha256": hashlib.sha256(names.encode()).hexdigest()[:16],
     }
     folder = begun(options["out"], kind, settings)
     finish(folder, lambda index: make(index, config), options["count"])
+
+
+def _config(options: dict[str, Any]) -> SetCfg:
+    from learned.slf.photometry import PhotometryCfg
+    from learned.slf.synthesis import SetCfg
+
+    photometry = PhotometryCfg() if options["photometry"] else None
+    return SetCfg(
+        prior=options["prior"], size=options["size"], seed=options["seed"], photometry=photometry
+    )
+
+
+def _settings(options: dict[str, Any]) -> dict[str, Any]:
+    return {name: options[name] for name in ("seed", "count", "size", "prior", "photometry")}
 
 
 def begun(out: Path, kind: str, settings: dict[str, Any]) -> SuiteFolder:

@@ -136,6 +136,29 @@ def project(
     return pixels, valid
 
 
+def unproject(
+    lens: Optics, pixels: Float[Tensor, "n 2"], row: Int[Tensor, " n"]
+) -> tuple[Float[Tensor, "n 3"], Bool[Tensor, " n"]]:
+    """Unit rays of single pixels; the inverse of `project`.
+
+    Args:
+        lens: Lenses and frame size.
+        pixels: Points (u, v).
+        row: Lens of each point.
+
+    Returns:
+        rays: Unit directions in camera coordinates.
+        valid: True inside the image circle.
+    """
+    vector = lens.vector[row]
+    plane = (pixels - (lens.size - 1) / 2) / (lens.size / 2)
+    plane = (plane - vector[:, 7:9]) / vector[:, 5:7]
+    r = torch.linalg.vector_norm(plane, dim=1)
+    theta, valid = theta_from_radius(r[:, None], vector[:, :5], lens.theta_max[row])
+    sine = torch.sin(theta) / r.clamp_min(1e-9)[:, None]
+    return torch.cat([plane * sine, torch.cos(theta)], dim=1), valid[:, 0]
+
+
 def _frame_coordinate(size: int, oversampling: int, like: Tensor) -> Tensor:
     """Coordinates of ray columns in half widths from the middle of the frame."""
     count = size * oversampling

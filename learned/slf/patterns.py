@@ -268,6 +268,20 @@ def _sky(rng: np.random.Generator, canvas: ndarray) -> Lines:
     return []
 
 
+USES: dict[str, tuple[str, ...]] = {
+    "floor": ("_tiles", "_planks", "_bricks"),
+    "wall": ("_tiles", "_panels", "_bricks", "_planks", "_pictures"),
+    "front": ("_bricks", "_tiles"),
+}
+"""Which kinds look right where."""
+
+
+def numbers_for(use: str, count: int) -> list[int]:
+    """Numbers of the textures among the first `count` that are fit for a use."""
+    names = [kind.__name__ for kind in _KINDS]
+    return [i for i in range(count) if names[i % len(names)] in USES[use]]
+
+
 _KINDS: tuple[Callable[[np.random.Generator, ndarray], Lines], ...] = (
     _tiles,
     _windows,

@@ -110,7 +110,7 @@ def bent_strokes(
     rows = segments.row.index_select(0, segment)
     share = share.index_select(0, index)
     runs = Strokes(points, tangent, share, run, length, rows, original[segment])
-    return _without_short(runs, shortest_px)
+    return filtered_strokes(runs, length >= shortest_px)
 
 
 def draw_line_map(strokes: Strokes, *, batch: int, size: int) -> Float[Tensor, "b 1 h w"]:
@@ -216,9 +216,8 @@ def _even_angles(segments: Segments3D) -> Tensor:
     return weight_b / (weight_a + weight_b)
 
 
-def _without_short(strokes: Strokes, shortest: float) -> Strokes:
-    """Drop short runs and number the others anew."""
-    keep = strokes.length >= shortest
+def filtered_strokes(strokes: Strokes, keep: Bool[Tensor, " runs"]) -> Strokes:
+    """Some of the runs, numbered anew."""
     number = torch.cumsum(keep, 0) - 1
     stays = torch.nonzero(keep.index_select(0, strokes.run))[:, 0]
     points, tangent, share, run = (

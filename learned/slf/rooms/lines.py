@@ -1,0 +1,119 @@
+"""True lines of a room: edges of its boxes and lines of its drawn textures, as far as seen."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from learned.slf.atlas import Atlas
+from learned.slf.boxes import (
+    FACES,
+    Boxes,
+    box_visibility,
+    edge_segments,
+    first_hits,
+    pattern_segments,
+)
+from learned.slf.optics import Optics, unproject
+from learned.slf.rooms.scenes import RoomScene
+from learned.slf.strokes import Segments3D, Strokes, bent_strokes, filtered_strokes
+
+_SIDE_PX = 1.2
+_GROUND = 3
+_LEAST_SEEN = 0.6
+_DEPTH_STEP = 0.01
+
+
+@dataclass(frozen=True)
+class RoomGeometry:
+    """A room for ray casting.
+
+    Attributes:
+        boxes: The shell as box 0 and the solids.
+        material: Material of every face, shape (1, n, 6); negative where there is no face.
+        is_open: Whether the shell is only a ground.
+    """
+
+    boxes: Boxes
+    material: Tensor
+    is_open: bool
+
+
+def room_geometry(scene: RoomScene, atlas: Atlas) -> RoomGeometry:
+    """The scene as boxes with drawn textures; plain faces take the atlas's last picture.
+
+    Args:
+        scene: The room.
+        atlas: Drawn textures, then one without lines.
+    """
+    n = len(scene.centre) + 1
+    material = np.concatenate(
+        [scene.shell_material[None], np.repeat(scene.material[:, None], FACES, 1)]
+    )
+    pattern = scene.pattern[material]
+    if scene.is_open:
+        # only the ground of an open shell is there
+        pattern[0, np.arange(FACES) != _GROUND] = -1
+    arrays = (
+        np.concatenate([np.zeros((1, 3)), scene.centre]),
+        np.concatenate([scene.shell[None], scene.half]),
+        np.concatenate([[0.0], scene.yaw]),
+        np.where(pattern < 0, len(atlas) - 1, pattern),
+        np.where((pattern < 0)[..., None], 1e3, scene.tile[material]),
+        np.zeros((n, FACES, 2)),
+        np.ones((n, FACES)),
+        scene.rotation,
+        scene.position,
+    )
+    tensors = [
+        torch.as_tensor(a[None], dtype=torch.int64 if i == 3 else torch.float32)
+        for i, a in enumerate(arrays)
+    ]
+    return RoomGeometry(Boxes(*tensors), torch.as_tensor(material[None]), scene.is_open)
+
+
+def room_strokes(
+    room: RoomGeometry, atlas: Atlas, lens: Optics, *, shortest_px: float
+) -> tuple[Strokes, Segments3D]:
+    """Visible lines of the room in the fisheye picture, with the pieces they are of.
+
+    An edge counts where the two sides of it differ: another face, material or distance. A seam of
+    two flush boxes does not.
+    """
+    edges = edge_segments(room.boxes, with_room=not room.is_open)
+    lines = pattern_segments(atlas, room.boxes)
+    segments = Segments3D(
+        torch.cat([edges.start, lines.start]),
+        torch.cat([edges.end, lines.end]),
+        torch.cat([edges.row, lines.row]),
+    )
+
+    def visibility(points: Tensor, row: Tensor) -> Tensor:
+        return box_visibility(room.boxes, points, row)
+
+    strokes = bent_strokes(lens, segments, visibility=visibility, shortest_px=shortest_px)
+    is_edge = strokes.segment < len(edges)
+    differs = _sides_differ(room, lens, strokes).to(torch.float32)
+    share = torch.zeros_like(strokes.length).index_add_(0, strokes.run, differs)
+    share /= torch.bincount(strokes.run, minlength=len(strokes.length)).clamp_min(1)
+    return filtered_strokes(strokes, ~is_edge | (share >= _LEAST_SEEN)), segments
+
+
+def _sides_differ(room: RoomGeometry, lens: Optics, strokes: Strokes) -> Tensor:
+    """Per point, whether something else is seen on its two sides."""
+    normal = torch.stack([-strokes.tangent[:, 1], strokes.tangent[:, 0]], 1)
+    row = torch.zeros(len(normal), dtype=torch.int64)
+    seen = []
+    for side in (-_SIDE_PX, _SIDE_PX):
+        rays, _ = unproject(lens, strokes.points + side * normal, row)
+        depth, owner, face = first_hits(room.boxes, rays, row)
+        yaw = room.boxes.yaw[0, owner]
+        axis = face // 2
+        turned = torch.where(axis == 0, yaw, torch.where(axis == 2, yaw + np.pi / 2, 0.0))
+        facing = torch.where(axis == 1, 3.0, torch.cos(2 * turned))
+        seen.append((depth, facing, room.material[0, owner, face]))
+    (d0, f0, m0), (d1, f1, m1) = seen
+    return (
+        (m0 != m1) | ((f0 - f1).abs() > 0.05) | ((d0 - d1).abs() > _DEPTH_STEP * (d0 + d1) + 0.02)
+    )
