@@ -11,6 +11,8 @@ from scipy.spatial import KDTree
 
 from classical.lines.smooth import counter_bend, fit_arcs, fit_by_length
 
+_END_POINTS = 30  # points from which the direction of an end is taken
+
 
 @dataclass(frozen=True)
 class ContinuationConfig:
@@ -51,17 +53,21 @@ def continue_arcs(
         offsets: Offsets of the joined arcs, shape (q + 1,).
     """
     arcs = [np.arange(a, b) for a, b in itertools.pairwise(offsets)]
+    fresh = np.ones(len(arcs), dtype=bool)  # arcs whose pairs were not tried yet
     for _ in range(config.rounds):
-        pairs = _continuing_pairs(points, arcs, config)
+        pairs = _continuing_pairs(points, arcs, fresh, config)
         if not len(pairs):
             break
         taken: set[int] = set()
+        fresh[:] = False
         for first, first_end, second, second_end in pairs:
             if first in taken or second in taken:
                 continue
             taken |= {first, second}
             arcs[first] = _concatenated(arcs[first], first_end, arcs[second], second_end)
             arcs[second] = np.empty(0, dtype=np.int64)
+            fresh[first] = True
+        fresh = fresh[[len(arc) > 0 for arc in arcs]]
         arcs = [arc for arc in arcs if len(arc)]
     lengths = np.array([len(arc) for arc in arcs], dtype=np.int64)
     joined = np.concatenate(arcs) if arcs else np.empty(0, dtype=np.int64)
@@ -74,18 +80,13 @@ def _concatenated(first: np.ndarray, first_end: int, second: np.ndarray, end: in
 
 
 def _continuing_pairs(
-    points: np.ndarray, arcs: list[np.ndarray], config: ContinuationConfig
+    points: np.ndarray, arcs: list[np.ndarray], fresh: np.ndarray, config: ContinuationConfig
 ) -> list[tuple[int, int, int, int]]:
-    """Pairs (arc, its end, arc, its end) that may be joined, the best first."""
+    """Pairs (arc, its end, arc, its end) that may be joined, one of them fresh, the best first."""
     if len(arcs) < 2:
         return []
     lengths = np.array([len(arc) for arc in arcs])
-    offsets = np.concatenate([[0], np.cumsum(lengths)])
-    packed = points[np.concatenate(arcs)]
-    tangents = fit_arcs(packed, offsets, degree=2).tangents
-    first, last = offsets[:-1], offsets[1:] - 1
-    place = np.concatenate([packed[first], packed[last]])
-    outward = np.concatenate([-tangents[first], tangents[last]])
+    place, outward = _ends(points, arcs)
     pairs = KDTree(place).query_pairs(config.max_gap, output_type="ndarray")
     i, j = pairs.T
     count = len(arcs)
@@ -97,6 +98,7 @@ def _continuing_pairs(
     ahead = np.minimum((outward[i] * gap).sum(axis=1), -(outward[j] * gap).sum(axis=1))
     fits = (i % count != j % count) & (distance <= room) & (opposite > config.min_alignment)
     fits &= ahead + slack > config.min_alignment * distance
+    fits &= fresh[i % count] | fresh[j % count]
     i, j, distance = i[fits], j[fits], distance[fits]
     if not len(i):
         return []
@@ -112,6 +114,18 @@ def _continuing_pairs(
         (int(i[k] % count), int(i[k] // count), int(j[k] % count), int(j[k] // count))
         for k in order
     ]
+
+
+def _ends(points: np.ndarray, arcs: list[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+    """Places of all starts, then of all stops, and unit tangents out of the arcs there."""
+    pieces = [arc[:_END_POINTS] for arc in arcs] + [arc[-_END_POINTS:] for arc in arcs]
+    offsets = np.concatenate([[0], np.cumsum([len(piece) for piece in pieces])])
+    packed = points[np.concatenate(pieces)]
+    tangents = fit_arcs(packed, offsets, degree=2).tangents
+    count = len(arcs)
+    at = np.concatenate([offsets[:count], offsets[count + 1 :] - 1])
+    sign = np.repeat([-1.0, 1.0], count)
+    return packed[at], tangents[at] * sign[:, None]
 
 
 def _common_fit(points: np.ndarray, arcs: list[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
