@@ -153,10 +153,14 @@ class _Accumulator:
         delta = (turn - reach) * self.step
         right = np.stack([np.cos(delta), np.sin(delta), np.ones(len(turn)), turn * n_columns])
         block = max(_BLOCK_BINS // len(turn), 1)
+        product, bins = np.empty((block, len(turn))), np.empty((block, len(turn)), np.intp)
         one = np.uint16(1)
         for start in range(0, len(left), block):
-            bins = (left[start : start + block] @ right).astype(np.intp)
-            np.add.at(votes, bins.ravel(), one)
+            part = left[start : start + block]
+            n = len(part)
+            np.matmul(part, right, out=product[:n])
+            np.copyto(bins[:n], product[:n], casting="unsafe")  # positive: this rounds down
+            np.add.at(votes, bins[:n].ravel(), one)
         return votes.reshape(n_rows, n_columns)
 
     def _fold(self, votes: np.ndarray) -> np.ndarray:
