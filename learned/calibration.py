@@ -137,7 +137,8 @@ class _Branch(nn.Module):
 
     def forward(self, region: Float[Tensor, "b c h w"]) -> Float[Tensor, "b n"]:
         """One vector for a region of the map."""
-        return self.last(torch.relu(self.first(region.mean((2, 3)))))
+        with torch.autocast(region.device.type, enabled=False):  # precision is all that counts here
+            return self.last(torch.relu(self.first(region.float().mean((2, 3)))))
 
 
 class Calibration(nn.Module):

@@ -55,7 +55,8 @@ class Parameters(nn.Module):
 
     def decode(self, z: Float[Tensor, "b 9"]) -> Float[Tensor, "b 9"]:
         """Coordinates to k; m_u is its gauge value."""
-        k = self.mean + z.float() @ self.factor.T
+        with torch.autocast(z.device.type, enabled=False):  # eight bits of k are too few
+            k = self.mean + z.float() @ self.factor.T
         return torch.cat([k[:, :5], self.mean[5].expand(k.shape[0], 1), k[:, 6:]], 1)
 
     def encode(self, k: Float[Tensor, "b 9"]) -> Float[Tensor, "b 9"]:

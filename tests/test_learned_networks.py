@@ -230,3 +230,13 @@ def test_rong_estimates_the_mean_of_its_classes() -> None:
     torch.testing.assert_close(labels.sum(1), torch.ones(2))
     torch.testing.assert_close(network.estimate(labels.log()), lambda_, atol=0.01, rtol=0)
     assert network.eval()(torch.rand(1, 3, 64, 64)).shape == (1, 21)
+
+
+def test_mixed_precision_leaves_the_heads_exact() -> None:
+    coordinates = Parameters()
+    coordinates.factor.copy_(torch.eye(9) + 0.1)
+    z = torch.rand(4, 9)
+    with torch.autocast("cpu", torch.bfloat16):
+        mixed = coordinates.decode(z)
+    assert mixed.dtype == torch.float32
+    torch.testing.assert_close(mixed, coordinates.decode(z))
