@@ -124,7 +124,8 @@ def seconds(times: Sequence[tuple[Method, Float[ndarray, " n"]]]) -> Figure:
         middle, top = (float(np.percentile(values, share)) for share in (50, 90))
         axes.barh(index, middle, color=method.color, height=0.6)
         axes.plot([middle, top], [index, index], color=_INK, linewidth=1.2)
-        axes.text(top, index, f"  {middle:.2g}", va="center", fontsize=9, color=_INK)
+        beside = {"xytext": (5, 0), "textcoords": "offset points", "va": "center"}
+        axes.annotate(f"{middle:.2g}", (top, index), fontsize=9, color=_INK, **beside)
     axes.set_yticks(range(len(shown)), [method.full_name for method, _ in shown[::-1]])
     axes.grid(visible=False, axis="y")
     if shown:

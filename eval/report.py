@@ -161,7 +161,7 @@ def _figures(suite: SuiteScores) -> Iterator[dict[str, str]]:
     if any(np.median(values) > 1e-3 for _, values in times):
         yield _figure(
             plots.seconds(times),
-            f"Time of an estimate on {suite.name}: bar to the median, line to the 90th pct.",
+            f"Time of an estimate on {suite.name}: bar, median; line, 90th percentile",
         )
 
 
