@@ -1,4 +1,4 @@
-"""The two-parameter division model of Alemán-Flores et al. (SIIMS 2015, IPOL 2016)."""
+"""The two-parameter division model of Santana-Cedrés et al. (SIIMS 8, 2015; IPOL 6, 2016)."""
 
 from __future__ import annotations
 

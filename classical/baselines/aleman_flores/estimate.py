@@ -9,13 +9,20 @@ What differs from the authors' programs, for all to see:
 
 - Pictures with a longer side under 640 px are enlarged first, since the method starves at 320x320;
   pictures over 1280 px are reduced. Parameters come back in pixels of the picture given.
-- One slice of the Hough space is in memory at a time, and the five distance bins of a vote are a
-  filter of the slice; the result is the same.
+- One slice of the Hough space a worker is in memory at a time, and the five distance bins of a vote
+  are summed where a maximum is possible; the answer is the same. No distance is out of its range.
 - Fewer than four lines that chance cannot explain (see `evidence`) are a failed estimate; the
   authors' programs always answer.
-- The outer loop of 2016 has a last round.
-- The output of the authors' programs is a corrected picture; here it is a model, and the scale of
-  the correction is left to whoever warps.
+- The answer is a model and not a corrected picture, and its scale is left to whoever warps.
+
+The centre starts (2014: stays) at (w / 2, h / 2) as in the articles, which is half a pixel right of
+and below the middle where the top-left pixel's centre is (0, 0).
+
+How we read what the descriptions leave open, all of it in the 2016 variant: directions of edges are
+compared with their sign; a lonely point has no neighbour in its 5x5 square; the 3x3 squares that
+keep one point are cells side by side; lines merge over a gap between their extents; Newton's method
+ends when the energy falls by less than the tolerance; a round of the outer loop without growth
+still hands its model to the next one; and that loop has a last round.
 """
 
 from __future__ import annotations
