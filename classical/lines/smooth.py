@@ -32,7 +32,7 @@ class SmoothConfig:
         max_counter_bend: Largest rise of a part that bends against the rest.
     """
 
-    min_points: int = 16
+    min_points: int = 12
     corner_reach: int = 6
     corner_angle: float = 0.35
     trim: int = 2
