@@ -11,6 +11,11 @@ import click
 @click.argument("target", type=click.Choice(["dlp", "larecnet", "rong"]))
 @click.option("--preset", "preset_name", default="compact", type=click.Choice(["paper", "compact"]))
 @click.option(
+    "--ablation",
+    type=click.Choice(["BL1", "BL2", "BL3", "BL4", "BL5", "BL6"]),
+    help="A variant of the paper's ablation study (larecnet).",
+)
+@click.option(
     "--data",
     "pack",
     required=True,
@@ -55,6 +60,7 @@ import click
 def train(
     target: str,
     preset_name: str,
+    ablation: str | None,
     pack: Path,
     validation: Path | None,
     folder: Path,
@@ -83,15 +89,17 @@ def train(
     import torch
 
     from learned.jobs import JobCfg, run_job
+    from learned.presets import ablation as ablated
     from learned.presets import preset
     from learned.slf.stream import StreamCfg
     from learned.train import RunCfg
 
     if threads is not None:
         torch.set_num_threads(threads)
+    chosen = preset(preset_name).with_schedule(rate=rate, fall=fall)
     job = JobCfg(
         target=target,  # type: ignore[arg-type]
-        preset=preset(preset_name).with_schedule(rate=rate, fall=fall),
+        preset=ablated(chosen, ablation) if ablation else chosen,
         pack=pack,
         validation=validation,
         folder=folder,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 
-from learned.calibration import CalibrationCfg
+from learned.calibration import CalibrationCfg, Source
 from learned.dlp import DlpCfg
 from learned.hourglass import PyramidCfg
 from learned.larecnet import LarecnetCfg
@@ -112,3 +112,38 @@ def preset(name: str) -> Preset:
     if name not in PRESETS:
         raise ValueError(f"expected a preset among {sorted(PRESETS)}, got {name!r}")
     return PRESETS[name]
+
+
+ABLATIONS = ("BL1", "BL2", "BL3", "BL4", "BL5", "BL6")
+
+
+def ablation(base: Preset, name: str) -> Preset:
+    """A variant of the paper's ablation study, each one thing more than the one before.
+
+    BL1 sees the picture alone and BL2 the heatmap alone; BL3 sees both; BL4 adds the local branch;
+    BL5 adds L_geo; BL6 adds L_pix with its uncertainty and is the paper's whole network. None sees
+    the features of line perception, which the compact preset feeds on besides.
+
+    Args:
+        base: Preset to vary.
+        name: "BL1" to "BL6".
+
+    Raises:
+        ValueError: If there is none of that name.
+    """
+    if name not in ABLATIONS:
+        raise ValueError(f"expected an ablation among {ABLATIONS}, got {name!r}")
+    level = ABLATIONS.index(name) + 1
+    inputs: dict[int, tuple[Source, ...]] = {1: ("image",), 2: ("heatmap",)}
+    calibration = replace(
+        base.network.calibration,
+        inputs=inputs.get(level, ("image", "heatmap")),
+        multiscale=level >= 4,
+    )
+    loss = replace(
+        base.loss,
+        geo=base.loss.geo if level >= 5 else 0.0,
+        pix=base.loss.pix if level >= 6 else 0.0,
+    )
+    network = replace(base.network, calibration=calibration)
+    return replace(base, name=f"{base.name}-{name}", network=network, loss=loss)

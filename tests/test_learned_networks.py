@@ -10,7 +10,7 @@ from learned.dlp import DlpCfg, LinePerception
 from learned.hourglass import PyramidCfg
 from learned.larecnet import LaRecNet, LarecnetCfg
 from learned.parameters import N_FREE, Parameters
-from learned.presets import COMPACT, PAPER, PRESETS, preset
+from learned.presets import ABLATIONS, COMPACT, PAPER, PRESETS, Preset, ablation, preset
 from learned.rong import RongCfg, RongNet, division_parameter
 from learned.uncertainty import AttentiveUncertainty
 
@@ -240,3 +240,21 @@ def test_mixed_precision_leaves_the_heads_exact() -> None:
         mixed = coordinates.decode(z)
     assert mixed.dtype == torch.float32
     torch.testing.assert_close(mixed, coordinates.decode(z))
+
+
+@pytest.mark.parametrize("base", [PAPER, COMPACT], ids=["paper", "compact"])
+def test_each_ablation_adds_one_thing(base: Preset) -> None:
+    seen = []
+    for name in ABLATIONS:
+        variant = ablation(base, name)
+        calibration, loss = variant.network.calibration, variant.loss
+        seen.append((calibration.inputs, calibration.multiscale, loss.geo > 0, loss.pix > 0))
+    both = ("image", "heatmap")
+    assert seen == [
+        (("image",), False, False, False),
+        (("heatmap",), False, False, False),
+        (both, False, False, False),
+        (both, True, False, False),
+        (both, True, True, False),
+        (both, True, True, True),
+    ]
