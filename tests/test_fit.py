@@ -245,3 +245,23 @@ def test_larger_pictures_give_the_same_lens() -> None:
     assert small is not None
     assert large is not None
     assert aligned_error(large.resized(WIDTH, HEIGHT), small) < 0.1
+
+
+def test_straight_pictures_stay_as_they_are() -> None:
+    """Straight lines under a perspective lens: rectified positions are the picture's, scaled."""
+    truth = projection(1.6, -1.0, WIDTH, HEIGHT)
+    curves = line_pictures(truth, 50, np.random.default_rng(10), noise=0.3)
+    fit = fit_lens([curves], WIDTH, HEIGHT)
+    assert fit.camera is not None
+    assert "straight already" in fit.reason
+    assert fit.status == "ok"
+    assert aligned_error(fit.camera, truth) < 0.05
+
+
+def test_a_weak_bend_is_not_called_straight() -> None:
+    truth = projection(1.5, 0.0, WIDTH, HEIGHT)
+    curves = line_pictures(truth, 50, np.random.default_rng(11), noise=0.3)
+    fit = fit_lens([curves], WIDTH, HEIGHT)
+    assert fit.camera is not None
+    assert "straight already" not in fit.reason
+    assert aligned_error(fit.camera, truth) < 0.5

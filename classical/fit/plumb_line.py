@@ -10,6 +10,7 @@ from jaxtyping import Float
 
 from classical.camera import KannalaBrandt
 from classical.fit.fitted import STRAIGHT_PX, fitted_curves
+from classical.fit.perspective import PerspectiveConfig, perspective_instead
 from classical.fit.prior import FREE, LensPrior, generic_prior
 from classical.fit.quality import judge, predicted_error
 from classical.fit.result import LensFit, ScaleSource
@@ -25,6 +26,9 @@ from classical.fit.vanishing import (
 )
 from classical.lines import Curve, join_curves
 
+_STRAIGHT = "the lines are straight already"
+_PERHAPS_STRAIGHT = "the lines look straight already, but they could not tell a fisheye"
+_OPEN_SCALE = 0.5  # deviation of log focal length that straight lines leave to a straight picture
 _REFERENCE_WIDTH = 1280  # tolerances are pixels of a picture this wide
 
 
@@ -43,6 +47,7 @@ class FitConfig:
         covariance_redundancy: As `SolverConfig.redundancy`, for the covariance. The fit guards
             against curves that err together; what it reaches on average is better than that, and
             this value makes the predicted errors of held-out synthetic pictures come true.
+        perspective: When a picture is taken for straight already; None means never.
         vanishing: How orthogonal vanishing points fix the scale; None leaves it to the prior.
         search: The global start.
         solver: The local solver.
@@ -55,6 +60,7 @@ class FitConfig:
     max_curves: int = 120
     joinings: int = 1
     covariance_redundancy: float = 6.0
+    perspective: PerspectiveConfig | None = field(default_factory=PerspectiveConfig)
     vanishing: VanishingConfig | None = field(default_factory=VanishingConfig)
     search: SearchConfig = field(default_factory=SearchConfig)
     solver: SolverConfig = field(default_factory=SolverConfig)
@@ -67,6 +73,7 @@ class _Candidate:
     camera: KannalaBrandt
     covariance: np.ndarray
     scale_source: ScaleSource = "prior"
+    note: str = ""
 
 
 def fit_lens(
@@ -113,6 +120,8 @@ def fit_lens(
         )
         final = replace(config, tolerances=config.tolerances[-1:])
         best = _settle(samples, best.camera, config=final, prior=prior)
+    if config.perspective is not None:
+        best = _unless_straight(best, samples, config)
     if config.vanishing is not None:
         best = _with_scale(best, samples, config)
     return _report(best, joined, config=config)
@@ -157,8 +166,7 @@ def _settle(
     for tolerance in config.tolerances:
         belief = prior or generic_prior(float(camera.k[0]), camera.width, camera.height)
         shares, noise = _curve_weights(samples, camera, tolerance * scale)
-        least, most = config.sigma_range
-        sigma = min(max(noise, least * scale), most * scale)
+        sigma = _sigma(noise, scale, config)
         problem = _Problem(samples, belief, np.sqrt(shares)[samples.owner] / sigma, camera)
         solution = solve(
             problem.residuals,
@@ -235,6 +243,9 @@ def _report(
     rms = float(np.sqrt((every**2).mean())) if inliers else float("nan")
     error = predicted_error(best.camera, best.covariance)
     status, reason = judge(curves, best.camera, error)
+    if best.note and status == "ok":
+        status = "ok" if best.note == _STRAIGHT else "degraded"
+        reason = best.note
     deviation = float(np.sqrt(_scale_variance(_scale_tangent(best.camera), best.covariance)))
     return LensFit(
         best.camera,
@@ -247,6 +258,35 @@ def _report(
         best.scale_source,
         deviation,
     )
+
+
+def _unless_straight(best: _Candidate, samples: CurveSamples, config: FitConfig) -> _Candidate:
+    """The perspective lens where it does as well; its scale is then open."""
+    assert config.perspective is not None
+    scale = best.camera.width / _REFERENCE_WIDTH
+    _, noise = _curve_weights(samples, best.camera, config.tolerances[-1] * scale)
+    straight = perspective_instead(
+        best.camera,
+        samples,
+        sigma=_sigma(noise, scale, config),
+        tolerance=config.inlier_tolerance * scale,
+        redundancy=config.solver.redundancy,
+        config=config.perspective,
+    )
+    if straight is None:
+        return best
+    camera = straight.camera
+    tangent = _scale_tangent(camera) * _OPEN_SCALE
+    sure = np.diag([*camera.k * 1e-4, 0.0, *(1e-4 * camera.m_u * np.ones(3))]) ** 2
+    covariance = sure + np.outer(tangent, tangent)
+    note = _STRAIGHT if straight.proven else _PERHAPS_STRAIGHT
+    return _Candidate(camera, covariance, note=note)
+
+
+def _sigma(noise: float, scale: float, config: FitConfig) -> float:
+    """Standard deviation of a sample in pixels, from the curves' median RMS residual."""
+    least, most = config.sigma_range
+    return min(max(noise, least * scale), most * scale)
 
 
 def _with_scale(best: _Candidate, samples: CurveSamples, config: FitConfig) -> _Candidate:
@@ -264,7 +304,7 @@ def _with_scale(best: _Candidate, samples: CurveSamples, config: FitConfig) -> _
     camera = rescaled(best.camera, float(np.exp(gain * estimate.log_scale)))
     covariance = best.covariance - np.outer(tangent, tangent) * variance * gain
     source: ScaleSource = "vanishing points" if gain > 0.5 else best.scale_source
-    return _Candidate(camera, covariance, source)
+    return replace(best, camera=camera, covariance=covariance, scale_source=source)
 
 
 def _vanishing_scale(
