@@ -54,7 +54,7 @@ def _plaster(rng: np.random.Generator, height: int, width: int) -> ndarray:
     y, x = np.mgrid[0:height, 0:width]
     slope = rng.normal(0, 0.12, 2)
     light = 1 + slope[0] * (x / width - 0.5) + slope[1] * (y / height - 0.5)
-    return light[..., None] * _colour(rng, 90, 230)
+    return light[..., None] * _colour(rng, 90.0, 230.0)
 
 
 def _worn(rng: np.random.Generator, canvas: ndarray) -> UInt8[ndarray, "h w 3"]:
@@ -138,7 +138,7 @@ def _windows(rng: np.random.Generator, canvas: ndarray) -> Lines:
     """A front with rows of framed windows, ledges between the floors."""
     height, width = canvas.shape[:2]
     rows, columns = int(rng.integers(1, 5)), int(rng.integers(2, 7))
-    frame, glass = _contrast(rng, canvas.mean(axis=(0, 1))), _colour(rng, 10, 110)
+    frame, glass = _contrast(rng, canvas.mean(axis=(0, 1))), _colour(rng, 10.0, 110.0)
     cell_v, cell_u = height // rows, width // columns
     inset_v, inset_u = rng.uniform(0.15, 0.3, 2)
     lines: Lines = []
@@ -172,7 +172,7 @@ def _window(
     middle = (left + right) // 2
     if right - left > 40:
         canvas[top + rim : bottom - rim, middle - 1 : middle + 2] = frame
-        lines.append((middle, top + rim, middle, bottom - rim - 1))
+        lines.append((float(middle), float(top + rim), float(middle), bottom - rim - 1.0))
     return lines
 
 
@@ -227,7 +227,7 @@ def _pictures(rng: np.random.Generator, canvas: ndarray) -> Lines:
     wall = canvas.mean(axis=(0, 1))
     lines: Lines = []
     for _ in range(int(rng.integers(1, 4))):
-        wide, high = rng.integers(50, 150, 2)
+        wide, high = (int(x) for x in rng.integers(50, 150, 2))
         left, top = (
             int(rng.integers(10, width - wide - 10)),
             int(rng.integers(20, height - high - 60)),
@@ -252,7 +252,7 @@ def _door(rng: np.random.Generator, canvas: ndarray) -> Lines:
     free = (left + wide + 20, width - 20) if left < width / 2 else (20, left - 20)
     if free[1] - free[0] > 60:
         box = (free[0], int(0.2 * height), free[1], int(0.65 * height))
-        lines += _window(rng, canvas, box, frame, _colour(rng, 120, 240))
+        lines += _window(rng, canvas, box, frame, _colour(rng, 120.0, 240.0))
     return lines
 
 

@@ -15,7 +15,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float
@@ -36,6 +36,7 @@ _OVERSAMPLING = 4
 _SMALLEST_RELATIVE_SLOPE = 0.08
 
 
+@runtime_checkable
 class LensPrior(Protocol):
     """A distribution of lenses."""
 
