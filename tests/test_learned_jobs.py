@@ -108,7 +108,7 @@ def test_command_trains_the_compact_preset(pack: Path, tmp_path: Path) -> None:
         train_command, [*words, "--size", "64", "--workers", "0", "--threads", "1", "--cpu"]
     )
     assert result.exit_code == 0, result.output
-    assert Path(result.output.strip().splitlines()[-1]).exists()
+    assert Path(result.stdout.strip()).exists()
 
 
 def test_command_refuses_an_unknown_network(pack: Path, tmp_path: Path) -> None:
