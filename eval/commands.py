@@ -75,13 +75,13 @@ def evaluate(
     Answers go to disk one by one; a run that is stopped goes on where it was. A folder keeps to one
     configuration: other settings need another folder, or --restart.
     """
-    try:
-        chosen = parse_methods(methods)
-    except ValueError as error:
-        raise click.UsageError(str(error)) from error
     from eval.predict import settings_of
 
-    settings = {method: settings_of(method, seed=seed) for method in chosen}
+    try:
+        chosen = parse_methods(methods)
+        settings = {method: settings_of(method, seed=seed) for method in chosen}
+    except ValueError as error:
+        raise click.UsageError(str(error)) from error
     for path in suites:
         suite = open_suite(path.resolve(), min_bend=min_bend, every=every)
         folder = RunFolder(out.resolve() / suite.name)
