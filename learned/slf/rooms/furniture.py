@@ -67,7 +67,7 @@ def table(rng: np.random.Generator) -> Piece:
 def chair(rng: np.random.Generator) -> Piece:
     """Chair with a back."""
     w, d, h = rng.uniform(0.4, 0.48), rng.uniform(0.4, 0.48), rng.uniform(0.43, 0.47)
-    parts = [_block(-w / 2, h, 0, w, 0.04, d, 0), *_legs(w, h, d, 0.035, 1)]
+    parts = [_block(-w / 2, h, 0.0, w, 0.04, d, 0), *_legs(w, h, d, 0.035, 1)]
     parts += [_block(x, h, d - 0.035, 0.035, 0.48, 0.035, 1) for x in (-w / 2, w / 2 - 0.035)]
     parts += [_block(-w / 2, h + y, d - 0.03, w, 0.1, 0.02, 0) for y in (0.14, 0.34)]
     return Piece(parts, w, d, h + 0.5)
@@ -78,10 +78,10 @@ def wardrobe(rng: np.random.Generator) -> Piece:
     doors = int(rng.integers(2, 5))
     door, h, d = rng.uniform(0.4, 0.6), rng.uniform(1.8, 2.15), rng.uniform(0.5, 0.65)
     w = doors * door
-    parts = [_block(-w / 2, 0, 0.02, w, h, d - 0.02, 0)]
+    parts = [_block(-w / 2, 0.0, 0.02, w, h, d - 0.02, 0)]
     for i in range(doors):
         x = -w / 2 + i * door
-        parts.append(_block(x + 0.004, 0.08, 0, door - 0.008, h - 0.1, 0.02, 1))
+        parts.append(_block(x + 0.004, 0.08, 0.0, door - 0.008, h - 0.1, 0.02, 1))
         side = 0.9 if i % 2 == 0 else 0.1
         parts.append(_block(x + side * door - 0.01, h * 0.45, -0.03, 0.02, 0.14, 0.03, 2))
     return Piece(parts, w, d, h)
@@ -90,11 +90,11 @@ def wardrobe(rng: np.random.Generator) -> Piece:
 def bookshelf(rng: np.random.Generator) -> Piece:
     """Open shelf with books of many colours."""
     w, h, d, shelves = rng.uniform(0.6, 1.4), rng.uniform(1.2, 2.1), 0.3, int(rng.integers(3, 6))
-    parts = [_block(x, 0, 0, 0.025, h, d, 0) for x in (-w / 2, w / 2 - 0.025)]
-    parts.append(_block(-w / 2, 0, d - 0.02, w, h, 0.02, 0))
+    parts = [_block(x, 0.0, 0.0, 0.025, h, d, 0) for x in (-w / 2, w / 2 - 0.025)]
+    parts.append(_block(-w / 2, 0.0, d - 0.02, w, h, 0.02, 0))
     step = (h - 0.03) / shelves
     for i in range(shelves + 1):
-        parts.append(_block(-w / 2 + 0.025, i * step, 0, w - 0.05, 0.025, d - 0.02, 0))
+        parts.append(_block(-w / 2 + 0.025, i * step, 0.0, w - 0.05, 0.025, d - 0.02, 0))
     for i in range(shelves):
         x = -w / 2 + 0.03
         while x < w / 2 - 0.12 and rng.random() < 0.93:
@@ -124,10 +124,10 @@ def bed(rng: np.random.Generator) -> Piece:
     """Bed with its head against the wall."""
     w, d = rng.uniform(0.9, 1.9), rng.uniform(1.95, 2.1)
     parts = [
-        _block(-w / 2, 0.1, 0, w, 0.2, d, 0),
+        _block(-w / 2, 0.1, 0.0, w, 0.2, d, 0),
         _block(-w / 2 + 0.03, 0.3, 0.04, w - 0.06, 0.2, d - 0.1, 1),
     ]
-    parts.append(_block(-w / 2 - 0.03, 0, d - 0.06, w + 0.06, rng.uniform(0.8, 1.2), 0.06, 0))
+    parts.append(_block(-w / 2 - 0.03, 0.0, d - 0.06, w + 0.06, rng.uniform(0.8, 1.2), 0.06, 0))
     for i in range(1 if w < 1.3 else 2):
         x = -w / 2 + 0.12 + i * w / 2
         parts.append(_block(x, 0.5, d - 0.55, min(0.6, w - 0.24), 0.1, 0.4, 2))
@@ -139,8 +139,11 @@ def sofa(rng: np.random.Generator) -> Piece:
     """Sofa with arms, back and cushions."""
     seats, d = int(rng.integers(1, 4)), rng.uniform(0.8, 0.95)
     w = 0.65 * seats + 0.36
-    parts = [_block(-w / 2, 0.08, 0, w, 0.2, d, 0), _block(-w / 2, 0.28, d - 0.22, w, 0.5, 0.22, 0)]
-    parts += [_block(x, 0.08, 0, 0.18, 0.52, d, 0) for x in (-w / 2, w / 2 - 0.18)]
+    parts = [
+        _block(-w / 2, 0.08, 0.0, w, 0.2, d, 0),
+        _block(-w / 2, 0.28, d - 0.22, w, 0.5, 0.22, 0),
+    ]
+    parts += [_block(x, 0.08, 0.0, 0.18, 0.52, d, 0) for x in (-w / 2, w / 2 - 0.18)]
     for i in range(seats):
         x = -w / 2 + 0.18 + i * 0.65
         parts.append(_block(x + 0.01, 0.28, 0.02, 0.63, 0.14, d - 0.26, 1))
@@ -169,7 +172,7 @@ def kitchen(rng: np.random.Generator) -> Piece:
 def screen(rng: np.random.Generator) -> Piece:
     """Low board with a television."""
     w, wide = rng.uniform(1.2, 2.0), rng.uniform(0.8, 1.4)
-    parts = [_block(-w / 2, 0, 0, w, 0.42, 0.42, 0)]
+    parts = [_block(-w / 2, 0.0, 0.0, w, 0.42, 0.42, 0)]
     parts.append(_block(-wide / 2, 0.48, 0.2, wide, wide * 0.56, 0.05, 4))
     parts.append(_block(-wide / 2 + 0.02, 0.5, 0.193, wide - 0.04, wide * 0.56 - 0.04, 0.007, 3))
     parts.append(_block(-0.2, 0.42, 0.15, 0.4, 0.06, 0.15, 4))
@@ -179,8 +182,8 @@ def screen(rng: np.random.Generator) -> Piece:
 def door(rng: np.random.Generator) -> Piece:
     """Door leaf with panels in a frame, standing out of the wall."""
     w, h = rng.uniform(0.8, 0.95), rng.uniform(1.98, 2.1)
-    parts = [_block(x, 0, 0, 0.08, h + 0.08, 0.04, 1) for x in (-w / 2 - 0.08, w / 2)]
-    parts += [_block(-w / 2, h, 0, w, 0.08, 0.04, 1), _block(-w / 2, 0, 0.015, w, h, 0.025, 0)]
+    parts = [_block(x, 0.0, 0.0, 0.08, h + 0.08, 0.04, 1) for x in (-w / 2 - 0.08, w / 2)]
+    parts += [_block(-w / 2, h, 0.0, w, 0.08, 0.04, 1), _block(-w / 2, 0.0, 0.015, w, h, 0.025, 0)]
     for low, high in ((0.08, 0.42), (0.5, 0.94))[: int(rng.integers(0, 3))]:
         parts.append(_block(-w / 2 + 0.12, low * h, 0.005, w - 0.24, (high - low) * h, 0.012, 0))
     parts.append(_block(w / 2 - 0.14, 1.02, -0.03, 0.1, 0.02, 0.045, 2))
@@ -191,8 +194,8 @@ def window(rng: np.random.Generator) -> Piece:
     """Window with mullions; colour 5 is its pane, which shines."""
     w, h, sill = rng.uniform(0.7, 2.2), rng.uniform(0.9, 1.4), rng.uniform(0.7, 1.0)
     parts = [_block(-w / 2, sill, 0.02, w, h, 0.02, 5)]
-    parts += [_block(x, sill - 0.06, 0, 0.06, h + 0.12, 0.04, 1) for x in (-w / 2 - 0.06, w / 2)]
-    parts += [_block(-w / 2, y, 0, w, 0.06, 0.04, 1) for y in (sill - 0.06, sill + h)]
+    parts += [_block(x, sill - 0.06, 0.0, 0.06, h + 0.12, 0.04, 1) for x in (-w / 2 - 0.06, w / 2)]
+    parts += [_block(-w / 2, y, 0.0, w, 0.06, 0.04, 1) for y in (sill - 0.06, sill + h)]
     for i in range(1, int(rng.integers(1, 4))):
         parts.append(_block(-w / 2 + i * w / 3 - 0.02, sill, 0.005, 0.04, h, 0.035, 1))
     if rng.random() < 0.5:

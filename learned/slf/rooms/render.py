@@ -65,8 +65,8 @@ class Renderer:
     def close(self) -> None:
         """End the process, if there is one."""
         if self._process is not None:
-            self._process.kill()
-            self._process.wait()
+            with self._process as process:  # closes its pipes, too
+                process.kill()
             self._process = None
 
     def render(self, job: dict) -> None:
@@ -86,7 +86,7 @@ class Renderer:
             result = None
         if result is None:
             code = process.wait()
-            self._process = None
+            self.close()
             raise RuntimeError(
                 f"Blender ended with code {code}; {self.python} needs the module bpy 4.5 "
                 "(pip install 'bpy==4.5.*' in an environment of its own)"
