@@ -9,6 +9,8 @@ from numpy import ndarray
 
 from eval.metrics import FRAME_FOCAL, FRAME_WIDTH, Lens, align
 
+Maps = tuple[Float32[ndarray, "h2 w2"], Float32[ndarray, "h2 w2"]]
+
 OUTSIDE = -32.0
 """Coordinate of a pixel without a source; it resamples to black."""
 
@@ -109,13 +111,23 @@ def rectify_picture(
     similarity: Similarity | None = None,
 ) -> UInt8[ndarray, "h2 w2 *c"]:
     """Rectify a photograph into the frame, bilinearly; what it does not show is black."""
-    u, v = source_maps(lens, photo.shape[1], photo.shape[0], similarity=similarity)
-    return cv2.remap(photo, u, v, cv2.INTER_LINEAR)
+    maps = source_maps(lens, photo.shape[1], photo.shape[0], similarity=similarity)
+    return resample_picture(photo, maps)
 
 
 def rectify_labels(
     labels: UInt8[ndarray, "h w"], lens: Lens | None, *, similarity: Similarity | None = None
 ) -> UInt8[ndarray, "h2 w2"]:
     """Rectify a map of labels (line lengths) into the frame: nearest pixel, nothing is mixed."""
-    u, v = source_maps(lens, labels.shape[1], labels.shape[0], similarity=similarity)
-    return cv2.remap(labels, u, v, cv2.INTER_NEAREST)
+    maps = source_maps(lens, labels.shape[1], labels.shape[0], similarity=similarity)
+    return resample_labels(labels, maps)
+
+
+def resample_picture(photo: UInt8[ndarray, "h w *c"], maps: Maps) -> UInt8[ndarray, "h2 w2 *c"]:
+    """Take a picture through maps, bilinearly."""
+    return cv2.remap(photo, *maps, cv2.INTER_LINEAR)
+
+
+def resample_labels(labels: UInt8[ndarray, "h w"], maps: Maps) -> UInt8[ndarray, "h2 w2"]:
+    """Take labels through maps, by the nearest pixel."""
+    return cv2.remap(labels, *maps, cv2.INTER_NEAREST)

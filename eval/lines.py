@@ -164,17 +164,21 @@ def straightness(
         Root of the mean squared distance over all points of all lines, in pixels of the 320 px
         frame; the best line of each is by total least squares. NaN without lines of 3 points.
     """
-    squares, count = 0.0, 0
-    for index, curve in enumerate(curves):
-        chosen = curve if keep is None else curve[keep[index]]
-        if len(chosen) < 3:
-            continue
-        place = rectified(lens, chosen, width, height)
-        spread = np.linalg.svd(place - place.mean(axis=0), compute_uv=False)
-        squares += float(spread[-1] ** 2)
-        count += len(place)
+    chosen = [curve if keep is None else curve[keep[i]] for i, curve in enumerate(curves)]
+    chosen = [curve for curve in chosen if len(curve) >= 3]
+    if not chosen:
+        return float("nan")
+    places = rectified(lens, np.concatenate(chosen), width, height)
+    ends = np.cumsum([len(curve) for curve in chosen])[:-1]
+    squares = sum(_off_line(line) for line in np.split(places, ends))
     scale = 1.0 if similarity is None else similarity.scale
-    return scale * float(np.sqrt(squares / count)) if count else float("nan")
+    return scale * float(np.sqrt(squares / len(places)))
+
+
+def _off_line(line: Float[ndarray, "n 2"]) -> float:
+    """Sum of squared distances from the best line: the smaller principal moment."""
+    off = line - line.mean(axis=0)
+    return float(np.linalg.svd(off, compute_uv=False)[-1] ** 2)
 
 
 def grid_lines(truth: Lens, *, theta_max: float) -> list[Float[ndarray, "_ 2"]]:

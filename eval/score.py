@@ -23,6 +23,9 @@ from eval.frame import (
     frame_size,
     rectify_labels,
     rectify_picture,
+    resample_labels,
+    resample_picture,
+    source_maps,
     to_frame_size,
 )
 from eval.images import psnr, ssim
@@ -206,13 +209,15 @@ def _pictures(
     lens: Lens | None, truth: Truth, similarity: Similarity | None
 ) -> dict[str, float | list[int] | int]:
     """What is measured on rectified pictures and line maps, plain or after a similarity."""
-    picture = rectify_picture(truth.photo, lens, similarity=similarity)
+    size = (truth.camera.width, truth.camera.height)
+    maps = source_maps(lens, *size, similarity=similarity)
+    picture = resample_picture(truth.photo, maps)
     scores: dict[str, float | list[int] | int] = {
         "psnr": psnr(picture, truth.straight),
         "ssim": ssim(picture, truth.straight),
     }
     if truth.curves:
-        found = rectify_labels(truth.line_map, lens, similarity=similarity)
+        found = resample_labels(truth.line_map, maps)
         counts = match_line_maps(found, truth.straight_line_map)
         scores["matched"] = counts.matched.tolist()
         scores["found"] = counts.found.tolist()
