@@ -72,7 +72,8 @@ def test_strokes_are_the_projection_of_straight_lines(lens):
     for run in range(len(strokes.length)):
         points = strokes.points[strokes.run == run].double().numpy()
         i, row = int(strokes.segment[run]), int(strokes.row[run])
-        plane = np.cross(*(x[i].double().numpy() for x in (segments.start, segments.end)))
+        start, end = (x[i].double().numpy() for x in (segments.start, segments.end))
+        plane = np.cross(start, end)
         rays, _ = camera[row].unproject(points)
         # distance from the line's image: out-of-plane angle times pixels per radian
         off = np.abs(rays @ (plane / np.linalg.norm(plane))) * lenses.vector[row, 0] * 160 * 2

@@ -8,6 +8,7 @@ from jaxtyping import Float, UInt8
 from numpy import ndarray
 
 from learned.slf.pack import read_rgb
+from learned.slf.priors import lens_prior
 from learned.slf.suite import SuiteFolder, SuiteItem, write_png, write_whole
 
 _BINS = 16
@@ -50,6 +51,24 @@ def histogram_sheet(columns: dict[str, Float[ndarray, " n"]]) -> UInt8[ndarray, 
     tiles = [_plot(name, values) for name, values in columns.items()]
     tiles += [np.full_like(tiles[0], 255)] * (-len(tiles) % 4)
     return np.vstack([np.hstack(tiles[i : i + 4]) for i in range(0, len(tiles), 4)])
+
+
+def prior_sheet(name: str, count: int, *, seed: int) -> UInt8[ndarray, "h w 3"]:
+    """Histograms of a lens prior.
+
+    Args:
+        name: Which prior.
+        count: Lenses drawn.
+        seed: Seed of the drawing.
+    """
+    prior = lens_prior(name)
+    lenses = prior.sample(np.random.default_rng(seed), count)
+    names = ("k1", "k2", "k3", "k4", "k5", "m_u", "m_v", "u0", "v0")
+    columns = {f"{n} (half widths)": lenses.vector[:, i] for i, n in enumerate(names) if i != 5}
+    columns["largest angle (degrees)"] = np.degrees(lenses.theta_max)
+    density = prior.log_density(lenses.vector[:256])
+    columns["log density"] = density[np.isfinite(density)]
+    return histogram_sheet(columns)
 
 
 def _columns(items: list[SuiteItem]) -> dict[str, ndarray]:

@@ -151,6 +151,19 @@ def pack(
         save_atlas(_checked(build_atlas, pictures()), out)
 
 
+@synthesize.command("prior")
+@click.argument("name", type=click.Choice(["paper", "wild"]))
+@click.option("--out", required=True, type=click.Path(path_type=Path), help="PNG to write.")
+@click.option("--count", default=4000, show_default=True, type=click.IntRange(10))
+@click.option("--seed", default=1, show_default=True)
+def show_prior(name: str, out: Path, count: int, seed: int) -> None:
+    """Plot a lens prior: histograms of its parameters, fields of view and log density."""
+    from learned.slf.card import prior_sheet
+    from learned.slf.suite import write_png
+
+    write_png(out, prior_sheet(name, count, seed=seed))
+
+
 def _make(
     kind: str,
     sources: list[Path],
