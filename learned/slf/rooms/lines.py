@@ -21,6 +21,7 @@ from learned.slf.strokes import Segments3D, Strokes, bent_strokes, filtered_stro
 
 _SIDE_PX = 1.2
 _GROUND = 3
+_SKY_M = 200.0
 _LEAST_SEEN = 0.6
 _DEPTH_STEP = 0.01
 
@@ -52,12 +53,15 @@ def room_geometry(scene: RoomScene, atlas: Atlas) -> RoomGeometry:
         [scene.shell_material[None], np.repeat(scene.material[:, None], FACES, 1)]
     )
     pattern = scene.pattern[material]
+    middle, shell = np.zeros(3), scene.shell
     if scene.is_open:
-        # only the ground of an open shell is there
+        # only the ground of an open shell is there: lift its ceiling out of sight
         pattern[0, np.arange(FACES) != _GROUND] = -1
+        middle, shell = scene.shell * [0, 1, 0] - [0, _SKY_M, 0], scene.shell * [1, 0, 1]
+        shell = shell + [0, _SKY_M, 0]
     arrays = (
-        np.concatenate([np.zeros((1, 3)), scene.centre]),
-        np.concatenate([scene.shell[None], scene.half]),
+        np.concatenate([middle[None], scene.centre]),
+        np.concatenate([shell[None], scene.half]),
         np.concatenate([[0.0], scene.yaw]),
         np.where(pattern < 0, len(atlas) - 1, pattern),
         np.where((pattern < 0)[..., None], 1e3, scene.tile[material]),
