@@ -139,7 +139,7 @@ def pack(
         raise click.UsageError("expected --photos, --panoramas or --patterns, got none")
     flat = _checked(picture_paths, photos) if photos else []
     round_ = _checked(picture_paths, folder) if folder else []
-    with tqdm(total=len(flat) + len(round_), unit="picture") as bar:
+    with tqdm(total=len(flat) + len(round_), unit="picture", disable=None) as bar:
 
         def pictures() -> Any:
             yield from annotated_photographs(flat, workers=workers, progress=bar.update)
@@ -149,6 +149,33 @@ def pack(
             yield from draw_patterns(patterns, seed=seed)
 
         save_atlas(_checked(build_atlas, pictures()), out)
+
+
+@synthesize.command()
+@click.option("--photos", required=True, type=_EXISTING_FOLDER, help="Undistorted photographs.")
+@click.option("--panoramas", "folder", required=True, type=_EXISTING_FOLDER, help="2:1 pictures.")
+@click.option("--blender-python", help="Interpreter with bpy 4.5; without it there are no rooms.")
+@click.option("--out", required=True, type=click.Path(path_type=Path), help="Folder of the sets.")
+@click.option("--seed", default=1, show_default=True, help="Same seed, same bytes.")
+@click.pass_context
+def testset(
+    context: click.Context,
+    photos: Path,
+    folder: Path,
+    blender_python: str | None,
+    out: Path,
+    seed: int,
+) -> None:
+    """Make the evaluation sets: 400 D-Wireframe, 100 panorama cuts, 100 rooms."""
+    shared = {"seed": seed, "photometry": False}
+    wireframe = {**shared, "count": 400, "size": 320, "prior": "paper"}
+    context.invoke(dwireframe, photos=photos, out=out / "dwireframe", **wireframe)
+    cuts = {**shared, "count": 100, "size": 640, "prior": "wild"}
+    context.invoke(panoramas, folder=folder, out=out / "panoramas", **cuts)
+    if blender_python is not None:
+        options = {**shared, "count": 100, "size": 320, "prior": "equisolid"}
+        options |= {"blender_python": blender_python, "samples": 4, "threads": 2}
+        context.invoke(rooms, out=out / "rooms", **options)
 
 
 @synthesize.command("prior")
@@ -219,7 +246,7 @@ def finish(folder: SuiteFolder, make: Callable[[int], Made], count: int) -> None
     from learned.slf.card import write_card
     from learned.slf.synthesis import synthesize as make_missing
 
-    with tqdm(total=count, unit="picture") as bar:
+    with tqdm(total=count, unit="picture", disable=None) as bar:
         make_missing(folder, make, count, progress=bar.update)
     write_card(folder)
 

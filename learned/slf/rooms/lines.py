@@ -57,8 +57,9 @@ def room_geometry(scene: RoomScene, atlas: Atlas) -> RoomGeometry:
     if scene.is_open:
         # only the ground of an open shell is there: lift its ceiling out of sight
         pattern[0, np.arange(FACES) != _GROUND] = -1
-        middle, shell = scene.shell * [0, 1, 0] - [0, _SKY_M, 0], scene.shell * [1, 0, 1]
-        shell = shell + [0, _SKY_M, 0]
+        wide, ground, deep = scene.shell
+        middle = np.array([0.0, ground - _SKY_M, 0.0])
+        shell = np.array([wide, _SKY_M, deep])
     arrays = (
         np.concatenate([middle[None], scene.centre]),
         np.concatenate([shell[None], scene.half]),
