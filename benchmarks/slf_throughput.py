@@ -1,9 +1,10 @@
 """Samples a second of the training stream, per scene type, in wall and in processor time.
 
-    python benchmarks/slf_throughput.py train.pack --threads 2 --samples 128
+    python benchmarks/slf_throughput.py train.pack --samples 128
 
-With fewer free cores than threads the wall figure is the neighbours' as much as ours; the figure
-by processor time is what the same work takes on cores of its own.
+One thread is best: samples are made one at a time, and a training runs one such process a core.
+Where other programs share the cores, the wall figure is theirs as much as ours; the figure by
+processor time is what the same work takes on a core of its own.
 """
 
 import time
@@ -38,7 +39,7 @@ def measure(atlas: Atlas, config: StreamCfg, *, samples: int, size: int) -> tupl
 @click.argument("pack", type=click.Path(exists=True, dir_okay=False, path_type=Path))
 @click.option("--samples", default=128, show_default=True, type=click.IntRange(8))
 @click.option("--size", default=320, show_default=True)
-@click.option("--threads", default=2, show_default=True)
+@click.option("--threads", default=1, show_default=True)
 def main(pack: Path, samples: int, size: int, threads: int) -> None:
     """Measure with and without camera effects, without rectified ground truth."""
     torch.set_num_threads(threads)
