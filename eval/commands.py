@@ -125,7 +125,7 @@ def _run(
 
 def _progress(title: str, steps: Iterator[tuple[int, int]]) -> None:
     """Show (done, total) pairs as they come."""
-    with tqdm(desc=title, unit="picture") as bar:
+    with tqdm(desc=title, unit="picture", disable=None) as bar:
         for done, total in steps:
             bar.total = total
             bar.update(done - bar.n)

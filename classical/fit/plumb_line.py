@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 from jaxtyping import Float
+from threadpoolctl import ThreadpoolController
 
 from classical.camera import KannalaBrandt
 from classical.fit.fitted import STRAIGHT_PX, fitted_curves
@@ -26,6 +27,8 @@ from classical.fit.vanishing import (
 )
 from classical.lines import Curve, join_curves
 
+# one thread: matrices of eight columns gain nothing from two, and the answer keeps its bits
+_CONTROLLER = ThreadpoolController()
 _STRAIGHT = "the lines are straight already"
 _PERHAPS_STRAIGHT = "the lines look straight already, but they could not tell a fisheye"
 _OPEN_SCALE = 0.5  # deviation of log focal length that straight lines leave to a straight picture
@@ -101,6 +104,19 @@ def fit_lens(
         The fit. Straight lines stay straight when the rectified plane is scaled, so the scale
         comes from the prior alone.
     """
+    with _CONTROLLER.limit(limits=1, user_api="blas"):
+        return _fit(curve_sets, width, height, config=config, prior=prior, start=start)
+
+
+def _fit(
+    curve_sets: Sequence[Sequence[Curve]],
+    width: int,
+    height: int,
+    *,
+    config: FitConfig,
+    prior: LensPrior | None,
+    start: KannalaBrandt | None,
+) -> LensFit:
     pool = [_longest(curves, config.max_curves) for curves in curve_sets]
     if not any(pool):
         return _failure(curve_sets, "no curve was found that could be a straight line")
@@ -140,6 +156,7 @@ def _best(
         short = replace(config, tolerances=config.tolerances[:2])
         trials = [_settle(few, lens, config=short, prior=prior).camera for lens in starts]
         starts = [min(trials, key=lambda lens: _final_cost(samples, lens, config))]
+        config = replace(config, tolerances=config.tolerances[2:])
     return _settle(samples, starts[0], config=config, prior=prior)
 
 
