@@ -1,4 +1,5 @@
 import hashlib
+from importlib.util import find_spec
 from pathlib import Path
 
 import cv2
@@ -7,6 +8,7 @@ import pytest
 from click.testing import CliRunner
 
 from eval.suites import load_suite
+from learned.slf.atlas import load_atlas
 from learned.slf.commands import synthesize as command
 from learned.slf.segments import annotate
 from learned.slf.suite import SuiteFolder
@@ -114,3 +116,23 @@ def test_annotation_finds_the_edges_of_a_rectangle():
     for u1, v1, u2, v2 in found:
         fixed = [(u1 + u2) / 2, edges["u"]] if abs(u1 - u2) < 2 else [(v1 + v2) / 2, edges["v"]]
         assert min(abs(fixed[0] - x) for x in fixed[1]) < 0.6
+
+
+def test_pack_holds_photographs_and_drawn_textures(photographs, tmp_path):
+    out = tmp_path / "train.pack"
+    result = run("pack", "--photos", photographs, "--patterns", 3, "--workers", 1, "--out", out)
+    assert result.exit_code == 0, result.output
+    atlas = load_atlas(out)
+    assert atlas.kind.tolist() == [0, 0, 1, 1, 1]
+    assert len(atlas.segments) == atlas.first[-1]
+
+
+def test_a_pack_of_nothing_is_misuse(tmp_path):
+    assert run("pack", "--patterns", 0, "--out", tmp_path / "x").exit_code == 2
+
+
+@pytest.mark.skipif(find_spec("bpy") is not None, reason="this interpreter has Blender")
+def test_rooms_without_blender_say_what_is_missing(tmp_path):
+    result = run("rooms", "--count", 1, "--size", 64, "--out", tmp_path / "rooms")
+    assert result.exit_code == 1
+    assert "bpy" in result.output
