@@ -46,7 +46,7 @@ class SolverConfig:
 
     loss_scale: float = 2.0
     redundancy: float = 64.0
-    tolerance: float = 1e-5
+    tolerance: float = 1e-4
     max_steps: int = 30
 
 
