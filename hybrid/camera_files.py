@@ -62,6 +62,8 @@ def quality_dict(quality: Quality) -> dict[str, Any]:
         "n_curves": quality.n_curves,
         "n_inliers": quality.n_inliers,
         "predicted_error_px": _finite(quality.predicted_error_px),
+        "scale_source": quality.scale_source,
+        "scale_deviation": _finite(quality.scale_deviation),
         "covariance": quality.covariance.tolist(),
     }
 
@@ -134,6 +136,8 @@ def _quality(fields: dict[str, Any]) -> Quality:
         n_inliers=int(quality.get("n_inliers", 0)),
         covariance=covariance,
         predicted_error_px=_number(quality.get("predicted_error_px")),
+        scale_source=str(quality.get("scale_source", "")),
+        scale_deviation=_number(quality.get("scale_deviation")),
     )
 
 

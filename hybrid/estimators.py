@@ -50,6 +50,8 @@ def estimate_from_fit(fit: LensFit) -> Calibration:
         n_inliers=fit.n_inliers,
         covariance=fit.covariance,
         predicted_error_px=fit.predicted_error_px,
+        scale_source=fit.scale_source if fit.camera is not None else "",
+        scale_deviation=fit.scale_deviation,
     )
     camera = None if fit.status == "failed" else fit.camera
     return Calibration(camera, fit.curves, quality, fit.status, fit.reason)

@@ -64,6 +64,9 @@ def describe(result: Rectification) -> list[str]:
         lines.append(f"off straight: {quality.rms_px:.2f} px rms")
     if math.isfinite(quality.predicted_error_px):
         lines.append(f"expected error: {quality.predicted_error_px:.2f} px of 320")
+    if math.isfinite(quality.scale_deviation):
+        spread = 100 * quality.scale_deviation
+        lines.append(f"focal length: from {quality.scale_source}, +-{spread:.0f} %")
     return lines
 
 

@@ -31,6 +31,10 @@ class Quality:
         covariance: Of (k1..k5, m_u, m_v, u0, v0), shape (9, 9).
         predicted_error_px: Expected error of rectified positions in pixels of a 320 pixel wide
             frame; NaN where it is not known.
+        scale_source: What fixed the focal length, which straight lines leave open: "prior",
+            "vanishing points", or empty where the method does not say.
+        scale_deviation: Standard deviation of the logarithm of the focal length; NaN where it is
+            not known.
     """
 
     rms_px: float = math.nan
@@ -38,6 +42,8 @@ class Quality:
     n_inliers: int = 0
     covariance: Float[np.ndarray, "9 9"] = field(default_factory=lambda: np.zeros((9, 9)))
     predicted_error_px: float = math.nan
+    scale_source: str = ""
+    scale_deviation: float = math.nan
 
 
 @dataclass(frozen=True, eq=False)

@@ -72,19 +72,27 @@ def test_rescaling_keeps_straight_lines_straight() -> None:
     np.testing.assert_allclose(moved[:, :2] / moved[:, 2:], expected, atol=2e-3)
 
 
-def test_fit_takes_its_scale_from_the_scene() -> None:
-    """Lines of a box seen by a lens of unusual shape: the prior alone is off, the scene is not."""
-    truth = KannalaBrandt.centred(np.array([0.8, 0.1, 0.01, 0.0, 0.0]), 640, 480)
-    rng = np.random.default_rng(4)
-    frame = Rotation.from_euler("yxz", [0.6, 0.3, 0.1]).as_matrix()
+BOX_LENS = KannalaBrandt.centred(np.array([0.8, 0.1, 0.01, 0.0, 0.0]), 640, 480)
+
+
+def box_picture(angles: list[float], seed: int) -> list[Curve]:
+    """Lines of a box turned by `angles`, seen by a lens of unusual shape."""
+    rng = np.random.default_rng(seed)
+    frame = Rotation.from_euler("yxz", angles).as_matrix()
     curves = []
     while len(curves) < 90:
         start = rng.uniform([-2, -2, 0.5], [2, 2, 4])
         line = start + np.linspace(0, 1.5, 120)[:, None] * frame[len(curves) % 3]
-        points, valid = truth.project(line / np.linalg.norm(line, axis=1, keepdims=True))
+        points, valid = BOX_LENS.project(line / np.linalg.norm(line, axis=1, keepdims=True))
         inside = valid & (points >= 0).all(1) & (points < [640, 480]).all(1)
         if inside.all() and np.hypot(*(points[-1] - points[0])) > 60:
             curves.append(Curve(points + rng.normal(0, 0.15, points.shape), 0.15, 1.0))
+    return curves
+
+
+def test_fit_takes_its_scale_from_the_scene() -> None:
+    """The prior alone is off, the scene is not."""
+    curves = box_picture([0.6, 0.3, 0.1], seed=4)
     without = fit_lens([curves], 640, 480, config=FitConfig(vanishing=None))
     fit = fit_lens([curves], 640, 480)
     assert fit.camera is not None
@@ -92,4 +100,12 @@ def test_fit_takes_its_scale_from_the_scene() -> None:
     assert fit.scale_source == "vanishing points"
     assert fit.scale_deviation < without.scale_deviation
     assert abs(fit.camera.k[0] - 0.8) < abs(without.camera.k[0] - 0.8)
+    assert fit.camera.k[0] == pytest.approx(0.8, rel=0.04)
+
+
+def test_each_picture_votes_with_its_own_directions() -> None:
+    pictures = [box_picture([0.6, 0.3, 0.1], seed=4), box_picture([-0.4, -0.25, 0.3], seed=5)]
+    fit = fit_lens(pictures, 640, 480)
+    assert fit.camera is not None
+    assert fit.scale_source == "vanishing points"
     assert fit.camera.k[0] == pytest.approx(0.8, rel=0.04)

@@ -139,7 +139,7 @@ def _fit(
     if config.perspective is not None:
         best = _unless_straight(best, samples, config)
     if config.vanishing is not None:
-        best = _with_scale(best, samples, config)
+        best = _with_scale(best, joined, config)
     return _report(best, joined, config=config)
 
 
@@ -306,19 +306,26 @@ def _sigma(noise: float, scale: float, config: FitConfig) -> float:
     return min(max(noise, least * scale), most * scale)
 
 
-def _with_scale(best: _Candidate, samples: CurveSamples, config: FitConfig) -> _Candidate:
-    """Fuse the fit's scale with that of orthogonal vanishing points by their variances.
+def _with_scale(
+    best: _Candidate, curve_sets: Sequence[Sequence[Curve]], config: FitConfig
+) -> _Candidate:
+    """Fuse the fit's scale with those of each picture's vanishing points by their variances.
 
     One Kalman update along the only direction that lines leave open, ∂camera/∂log s.
     """
-    assert config.vanishing is not None
-    estimate = _vanishing_scale(best.camera, samples, config)
-    if estimate is None:
+    width = best.camera.width
+    sets = [_samples([curves], width, config) for curves in curve_sets if curves]
+    found = [_vanishing_scale(best.camera, samples, config) for samples in sets]
+    estimates = [estimate for estimate in found if estimate is not None]
+    if not estimates:
         return best
+    precisions = np.array([estimate.deviation**-2 for estimate in estimates])
+    scales = np.array([estimate.log_scale for estimate in estimates])
     tangent = _scale_tangent(best.camera)
     variance = _scale_variance(tangent, best.covariance)
-    gain = variance / (variance + estimate.deviation**2)
-    camera = rescaled(best.camera, float(np.exp(gain * estimate.log_scale)))
+    gain = variance / (variance + 1 / precisions.sum())
+    log_scale = float(precisions @ scales / precisions.sum())
+    camera = rescaled(best.camera, float(np.exp(gain * log_scale)))
     covariance = best.covariance - np.outer(tangent, tangent) * variance * gain
     source: ScaleSource = "vanishing points" if gain > 0.5 else best.scale_source
     return replace(best, camera=camera, covariance=covariance, scale_source=source)
