@@ -112,7 +112,8 @@ def gradient(grey: np.ndarray, sigma: float) -> tuple[np.ndarray, np.ndarray, np
     smooth = cv2.GaussianBlur(grey, (0, 0), sigma, borderType=cv2.BORDER_REPLICATE)
     du = cv2.Sobel(smooth, cv2.CV_32F, 1, 0, ksize=1, scale=0.5)
     dv = cv2.Sobel(smooth, cv2.CV_32F, 0, 1, ksize=1, scale=0.5)
-    return du, dv, cv2.magnitude(du, dv)
+    # not cv2.magnitude, whose last bit depends on where the arrays lie in memory
+    return du, dv, np.sqrt(du * du + dv * dv)
 
 
 def step_per_gradient(sigma: float) -> float:
