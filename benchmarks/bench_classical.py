@@ -69,7 +69,7 @@ def measure(image: np.ndarray, repeats: int) -> None:
 
 def main() -> None:
     """Read the arguments and measure."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("pictures", nargs="*", type=Path)
     parser.add_argument("--repeats", type=int, default=5)
     options = parser.parse_args()
