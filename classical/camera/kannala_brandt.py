@@ -22,6 +22,7 @@ _POWERS = 2 * np.arange(N_COEFFICIENTS) + 1  # exponents of θ
 _TABLE_SIZE = 257  # brackets of the inverse; Newton does the rest
 _ANGLES = np.linspace(0.0, np.pi, 513)  # a dip of r' between two of them bends nothing visibly
 _NEWTON_STEPS = 30
+_ROUNDING = 2e-15  # relative error of r that is as good as none
 _BISECTIONS = 32  # of 6 mrad: to a picoradian
 _NEAR_AXIS = 1e-4  # half-widths; below, series replace differences that cancel
 
@@ -235,6 +236,17 @@ class KannalaBrandt:
         theta = low + (high - low) * (target - table_radius[cell]) / np.maximum(
             table_radius[cell + 1] - table_radius[cell], 1e-300
         )
+        for _ in range(2):  # from so near, two free steps nearly always do
+            slope = np.maximum(self.radius_derivative(theta), 1e-12)
+            theta = np.clip(theta - (self.radius(theta) - target) / slope, low, high)
+        if np.abs(self.radius(theta) - target).max(initial=0.0) > _ROUNDING * table_radius[-1]:
+            theta = self._guarded_newton(theta, target, low, high)
+        return np.where(valid, theta, self.theta_max), valid
+
+    def _guarded_newton(
+        self, theta: np.ndarray, target: np.ndarray, low: np.ndarray, high: np.ndarray
+    ) -> np.ndarray:
+        """Newton's method for r(θ) = target that bisects where a step would leave its bracket."""
         for _ in range(_NEWTON_STEPS):
             excess = self.radius(theta) - target
             high, low = np.where(excess > 0, theta, high), np.where(excess <= 0, theta, low)
@@ -246,7 +258,7 @@ class KannalaBrandt:
             theta = update
             if moved < 1e-9:  # Newton squares the error: what is left is rounding
                 break
-        return np.where(valid, theta, self.theta_max), valid
+        return theta
 
     # ---- pixels and rays -------------------------------------------------------------------
 
