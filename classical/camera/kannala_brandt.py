@@ -196,10 +196,12 @@ class KannalaBrandt:
         if not len(falling):
             return float(np.pi)
         low, high = _ANGLES[falling[0] - 1], _ANGLES[falling[0]]
-        derivative = np.polynomial.Polynomial(self.k * _POWERS)
+        c0, c1, c2, c3, c4 = (self.k * _POWERS).tolist()  # plain floats: no array overhead
         for _ in range(_BISECTIONS):
             middle = 0.5 * (low + high)
-            low, high = (middle, high) if derivative(middle**2) > 0 else (low, middle)
+            x = middle * middle
+            rising = (((c4 * x + c3) * x + c2) * x + c1) * x + c0 > 0
+            low, high = (middle, high) if rising else (low, middle)
         return float(low)
 
     @cached_property

@@ -20,7 +20,7 @@ from classical.fit.samples import CurveSamples
 from classical.fit.straightness import straightness
 
 _PROJECTIONS = (-0.5, 0.0, 0.5)
-_STRENGTHS = np.geomspace(0.38, 2.2, 8)  # f in half widths; 2.2 bends nothing visibly
+_STRENGTHS = np.geomspace(0.4, 2.0, 6)  # f in half widths; 2.2 bends nothing visibly
 _THETA = np.linspace(0.02, 1.0, 48)  # of the widest angle, where the polynomial meets the family
 _BEYOND = 20.0  # cost a sample of a lens that does not reach it
 
@@ -39,9 +39,9 @@ class SearchConfig:
     """
 
     tolerance: float = 1.0
-    evaluations: int = 22
+    evaluations: int = 16
     starts: int = 2
-    curves: int = 70
+    curves: int = 50
     samples: int = 8
 
 

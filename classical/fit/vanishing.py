@@ -16,7 +16,7 @@ from jaxtyping import Float
 
 from classical.camera import KannalaBrandt, radial_coefficients
 
-_HYPOTHESES = 250  # frames tried for each s
+_HYPOTHESES = 160  # frames tried for each s
 _LEAST_DEVIATION = 0.03  # of log s: scenes are never quite orthogonal
 _LEAST_ANGLE = np.radians(15.0)  # between normals that may define a direction
 
@@ -34,9 +34,9 @@ class VanishingConfig:
     """
 
     scales: tuple[float, float] = (0.6, 1.7)
-    steps: int = 27
+    steps: int = 19
     tolerance: float = 0.03
-    most_lines: int = 100
+    most_lines: int = 80
     fewest_lines: int = 12
 
 
