@@ -102,7 +102,7 @@ def fit_lens(
 
     Returns:
         The fit. Straight lines stay straight when the rectified plane is scaled, so the scale
-        comes from the prior alone.
+        comes from orthogonal vanishing points where a scene has them, else from the prior.
     """
     with _CONTROLLER.limit(limits=1, user_api="blas"):
         return _fit(curve_sets, width, height, config=config, prior=prior, start=start)
