@@ -47,3 +47,14 @@ def to_rgb8(image: Shaped[np.ndarray, "..."]) -> UInt8[np.ndarray, "h w 3"]:
     if image.ndim == 2 or image.shape[2] == 1:
         return cv2.cvtColor(np.ascontiguousarray(image), cv2.COLOR_GRAY2RGB)
     return np.ascontiguousarray(image[..., :3])
+
+
+def unit_range(pixels: Shaped[np.ndarray, "..."]) -> Shaped[np.ndarray, "..."]:
+    """Float pixels of a file, which may have any range, as `check_image` wants them.
+
+    Args:
+        pixels: Of any type; float32 that exceeds [0, 1] is divided by its maximum and clipped.
+    """
+    if pixels.dtype != np.float32:
+        return pixels
+    return np.clip(pixels / max(1.0, float(pixels.max(initial=0.0))), 0, 1)

@@ -271,7 +271,7 @@ def test_interruption_is_one_line(tmp_path, capsys, monkeypatch):
         raise KeyboardInterrupt
 
     source = save(tmp_path / "a.png")
-    monkeypatch.setattr("hybrid.commands.read_picture", interrupt)
+    monkeypatch.setattr("hybrid.commands.rectify.read_picture", interrupt)
     assert run(words("rectify", source, "--out", tmp_path / "out")) == 130
     assert "interrupted" in capsys.readouterr().err
 

@@ -1,0 +1,98 @@
+"""The command `straightlens calibrate`."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import click
+import numpy as np
+
+from hybrid.arrays import unit_range
+from hybrid.camera_files import CameraFile, camera_dict, quality_dict, write_camera
+from hybrid.commands import options
+from hybrid.commands.checks import make_folder, misuse, pictures, refuse_existing, usage_error
+from hybrid.commands.reports import FAILURE, ITEM_ERRORS, Report, failure, progress, tell
+from hybrid.config import RectifyConfig
+from hybrid.images import read_picture
+from hybrid.pipeline import Rectifier
+from hybrid.result import Calibration
+
+
+@click.command()
+@options.paths
+@click.option(
+    "--out",
+    required=True,
+    type=options.NEW_FILE,
+    help="The camera file to write, e.g. camera.json.",
+)
+@options.method
+@options.overwrite
+@options.as_json("the result as one JSON object")
+@options.threads
+def calibrate(
+    paths: tuple[Path, ...], out: Path, overwrite: bool, as_json: bool, **chosen: Any
+) -> int:
+    """Find the one lens that took all the pictures, in one joint fit.
+
+    A file that cannot be read is reported and left out; the exit code is then 1.
+    """
+    with misuse():
+        config = RectifyConfig(**chosen)
+    sources = pictures(paths)
+    refuse_existing([out], overwrite=overwrite)
+    unread, images = _read_all(sources)
+    if not images:
+        raise click.ClickException("none of the pictures could be read")
+    _check_one_size(images)
+    found = Rectifier(config).calibrate(list(images.values()))
+    if found.camera is not None:
+        make_folder(out.parent)
+        write_camera(out, CameraFile(found.camera, found.status, found.reason, found.quality))
+    _tell(found, out, len(images), unread if as_json else None)
+    return FAILURE if unread or found.camera is None else 0
+
+
+def _read_all(sources: Sequence[Path]) -> tuple[list[Report], dict[Path, np.ndarray]]:
+    """The reports of the files that cannot be read, and the pictures of the others."""
+    unread: list[Report] = []
+    images: dict[Path, np.ndarray] = {}
+    for source in progress(sources):
+        try:
+            images[source] = unit_range(read_picture(source).pixels)
+        except ITEM_ERRORS as error:
+            unread.append(failure(source, error))
+            tell(unread[-1], as_json=False)
+    return unread, images
+
+
+def _check_one_size(images: dict[Path, np.ndarray]) -> None:
+    """Pictures of one lens have one size; the complaint names the files."""
+    sizes = {image.shape[1::-1]: path for path, image in images.items()}
+    if len(sizes) > 1:
+        told = [f"{path} is {w}x{h}" for (w, h), path in list(sizes.items())[:2]]
+        raise usage_error(f"pictures of one lens have one size, but {' and '.join(told)}")
+
+
+def _tell(found: Calibration, out: Path, n_images: int, unread: list[Report] | None) -> None:
+    """The result: JSON if the list of unread files is given, else in words."""
+    failed = found.camera is None
+    if unread is not None:
+        report = {
+            "status": "failed" if failed else found.status,
+            "reason": found.reason,
+            "n_images": n_images,
+            "unread": unread,
+            "camera_file": None if failed else str(out),
+            "camera": None if found.camera is None else camera_dict(found.camera),
+            "quality": quality_dict(found.quality),
+        }
+        click.echo(json.dumps(report, allow_nan=False))
+    if failed:
+        click.echo(f"straightlens: no lens found: {found.reason}", err=True)
+    elif unread is None:
+        noun = "picture" if n_images == 1 else "pictures"
+        click.echo(f"{n_images} {noun} -> {out}  {found.status}: {found.reason}")

@@ -1,0 +1,138 @@
+"""The command `straightlens rectify`."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import click
+
+from classical.camera import KannalaBrandt
+from hybrid.arrays import unit_range
+from hybrid.camera_files import CameraFile, camera_dict, quality_dict, read_camera, write_camera
+from hybrid.commands import options
+from hybrid.commands.checks import (
+    make_folder,
+    misuse,
+    pictures,
+    refuse_existing,
+    refuse_inputs,
+    usage_error,
+)
+from hybrid.commands.reports import FAILURE, ITEM_ERRORS, Report, failure, progress, tell
+from hybrid.config import RectifyConfig
+from hybrid.images import Picture, is_picture_name, read_picture, write_picture
+from hybrid.overlay import draw_curves
+from hybrid.pipeline import Rectifier
+from hybrid.result import Rectification
+
+
+@click.command()
+@options.paths
+@click.option(
+    "--out",
+    required=True,
+    type=options.NEW_FOLDER,
+    help="Folder for the straight pictures and their NAME.camera.json; made if there is none.",
+)
+@options.method
+@options.camera
+@options.frame
+@click.option("--overlay", is_flag=True, help="Also write NAME.overlay.png with the curves.")
+@options.overwrite
+@options.as_json("one JSON object a picture")
+@options.threads
+def rectify(
+    paths: tuple[Path, ...],
+    out: Path,
+    camera: Path | None,
+    overlay: bool,
+    overwrite: bool,
+    as_json: bool,
+    **chosen: Any,
+) -> int:
+    """Straighten pictures: files, and all pictures in folders.
+
+    Each picture is taken on its own; for many pictures of one lens run `calibrate` first and pass
+    its file with --camera. A picture that cannot be read or tells nothing about its lens is
+    reported, the others are done, and the exit code is 1.
+    """
+    with misuse():
+        config = RectifyConfig(**chosen)
+        jobs = _jobs(pictures(paths), out, overlay, overwrite)
+        known = None if camera is None else read_camera(camera)
+    make_folder(out)
+    rectifier = Rectifier(config)
+    failed = False
+    for job in progress(jobs):
+        try:
+            report = _rectify_one(job, rectifier, known)
+        except ITEM_ERRORS as error:
+            report = failure(job.source, error)
+        failed |= report["status"] == "failed"
+        tell(report, as_json=as_json)
+    return FAILURE if failed else 0
+
+
+@dataclass(frozen=True)
+class _Job:
+    """A picture and the files that come of it."""
+
+    source: Path
+    picture: Path
+    camera: Path
+    overlay: Path | None
+
+    def outputs(self) -> list[Path]:
+        files = [self.picture, self.camera, self.overlay]
+        return [path for path in files if path is not None]
+
+
+def _jobs(sources: Sequence[Path], out: Path, overlay: bool, overwrite: bool) -> list[_Job]:
+    """The jobs, refused as a whole where files would be lost."""
+    jobs = [_job(source, out, overlay) for source in sources]
+    outputs = [path for job in jobs for path in job.outputs()]
+    doubles = [path for path, number in Counter(outputs).items() if number > 1]
+    if doubles:
+        raise usage_error(f"two inputs would both write {doubles[0]}")
+    refuse_inputs(outputs, sources)
+    refuse_existing(outputs, overwrite=overwrite)
+    return jobs
+
+
+def _job(source: Path, out: Path, overlay: bool) -> _Job:
+    name = source.name if is_picture_name(source) else f"{source.name}.png"
+    drawn = out / f"{source.stem}.overlay.png" if overlay else None
+    return _Job(source, out / name, out / f"{source.stem}.camera.json", drawn)
+
+
+def _rectify_one(job: _Job, rectifier: Rectifier, known: CameraFile | None) -> Report:
+    """Read, rectify and write one picture."""
+    picture = read_picture(job.source)
+    camera = None if known is None else known.camera
+    result = rectifier.rectify(unit_range(picture.pixels), camera=camera, throw=False)
+    report: Report = {"input": str(job.source), "status": result.status}
+    report["reason"] = result.reason
+    if result.status == "failed":
+        return report
+    write_picture(job.picture, replace(picture, pixels=result.image))
+    report["output"] = str(job.picture)
+    if job.overlay is not None:
+        write_picture(job.overlay, Picture(draw_curves(picture.pixels, result.curves)))
+        report["overlay"] = str(job.overlay)
+    if result.camera is not None:
+        _write_camera_of(job, result, known, result.camera)
+        report |= {"camera_file": str(job.camera), "camera": camera_dict(result.camera)}
+    return report | {"quality": quality_dict(result.quality)}
+
+
+def _write_camera_of(
+    job: _Job, result: Rectification, known: CameraFile | None, camera: KannalaBrandt
+) -> None:
+    content = CameraFile(camera, result.status, result.reason, result.quality)
+    if known is not None:
+        content = replace(known, camera=camera)
+    write_camera(job.camera, content)
