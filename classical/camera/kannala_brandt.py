@@ -20,9 +20,10 @@ N_COEFFICIENTS = 5
 N_PARAMETERS = 9  # k1..k5, m_u, m_v, u0, v0
 _POWERS = 2 * np.arange(N_COEFFICIENTS) + 1  # exponents of θ
 _TABLE_SIZE = 257  # brackets of the inverse; Newton does the rest
+_TABLE = np.linspace(0.0, 1.0, _TABLE_SIZE)
 _ANGLES = np.linspace(0.0, np.pi, 513)  # a dip of r' between two of them bends nothing visibly
 _NEWTON_STEPS = 30
-_ROUNDING = 2e-15  # relative error of r that is as good as none
+_LAST_STEP = 1e-8  # radians: Newton squares the error, so what is left after it is rounding
 _BISECTIONS = 32  # of 6 mrad: to a picoradian
 _NEAR_AXIS = 1e-4  # half-widths; below, series replace differences that cancel
 
@@ -170,19 +171,11 @@ class KannalaBrandt:
 
     def radius(self, theta: Float[np.ndarray, "*batch"]) -> Float[np.ndarray, "*batch"]:
         """r(θ) in half widths; θ in radians."""
-        squared = theta * theta
-        value = np.zeros_like(squared)
-        for coefficient in self.k[::-1]:
-            value = value * squared + coefficient
-        return np.asarray(value * theta)
+        return np.asarray(_even_polynomial(self.k, theta) * theta)
 
     def radius_derivative(self, theta: Float[np.ndarray, "*batch"]) -> Float[np.ndarray, "*batch"]:
         """dr/dθ in half widths per radian."""
-        squared = theta * theta
-        value = np.zeros_like(squared)
-        for coefficient in (self.k * _POWERS)[::-1]:
-            value = value * squared + coefficient
-        return np.asarray(value)
+        return np.asarray(_even_polynomial(self.k * _POWERS, theta))
 
     def radius_jacobian(self, theta: Float[np.ndarray, " n"]) -> Float[np.ndarray, "n 5"]:
         """∂r/∂k, shape (n, 5): the odd powers of θ."""
@@ -215,7 +208,7 @@ class KannalaBrandt:
 
     @cached_property
     def _table(self) -> tuple[np.ndarray, np.ndarray]:
-        theta = np.linspace(0.0, self.theta_max, _TABLE_SIZE)
+        theta = _TABLE * self.theta_max
         return theta, self.radius(theta)
 
     def theta(
@@ -232,23 +225,24 @@ class KannalaBrandt:
         """
         table_theta, table_radius = self._table
         valid = np.asarray((radius >= 0) & (radius <= table_radius[-1]))
-        target = np.where(valid, radius, table_radius[-1])
+        every = bool(valid.all())
+        target = radius if every else np.where(valid, radius, table_radius[-1])
+        theta = np.interp(target, table_radius, table_theta)
+        unsure = np.zeros(len(theta), dtype=bool)
+        for most in (self.theta_max / _TABLE_SIZE, _LAST_STEP):  # two free steps nearly always do
+            step = (self.radius(theta) - target) / np.maximum(self.radius_derivative(theta), 1e-12)
+            theta -= step
+            unsure |= np.abs(step) > most
+        if unsure.any():
+            theta[unsure] = self._guarded_newton(target[unsure])
+        return theta if every else np.where(valid, theta, self.theta_max), valid
+
+    def _guarded_newton(self, target: np.ndarray) -> np.ndarray:
+        """Newton's method for r(θ) = target that bisects where a step would leave its bracket."""
+        table_theta, table_radius = self._table
         cell = np.clip(np.searchsorted(table_radius, target) - 1, 0, _TABLE_SIZE - 2)
         low, high = table_theta[cell], table_theta[cell + 1]
-        theta = low + (high - low) * (target - table_radius[cell]) / np.maximum(
-            table_radius[cell + 1] - table_radius[cell], 1e-300
-        )
-        for _ in range(2):  # from so near, two free steps nearly always do
-            slope = np.maximum(self.radius_derivative(theta), 1e-12)
-            theta = np.clip(theta - (self.radius(theta) - target) / slope, low, high)
-        if np.abs(self.radius(theta) - target).max(initial=0.0) > _ROUNDING * table_radius[-1]:
-            theta = self._guarded_newton(theta, target, low, high)
-        return np.where(valid, theta, self.theta_max), valid
-
-    def _guarded_newton(
-        self, theta: np.ndarray, target: np.ndarray, low: np.ndarray, high: np.ndarray
-    ) -> np.ndarray:
-        """Newton's method for r(θ) = target that bisects where a step would leave its bracket."""
+        theta = 0.5 * (low + high)
         for _ in range(_NEWTON_STEPS):
             excess = self.radius(theta) - target
             high, low = np.where(excess > 0, theta, high), np.where(excess <= 0, theta, low)
@@ -414,6 +408,18 @@ class KannalaBrandt:
         out[:, 1, 0], out[:, 1, 1] = x * y * bend, a + y * y * bend
         out[:, 2, 0], out[:, 2, 1] = -a * theta_by_radius * x, -a * theta_by_radius * y
         return out
+
+
+def _even_polynomial(coefficients: np.ndarray, theta: np.ndarray) -> np.ndarray:
+    """Σ c_i θ^(2i) by Horner's rule, in place: arrays are short and calls are what costs."""
+    squared = theta * theta
+    *lower, highest = coefficients.tolist()
+    value = squared * highest
+    for coefficient in lower[:0:-1]:
+        value += coefficient
+        value *= squared
+    value += lower[0]
+    return value
 
 
 def _azimuth(x: np.ndarray, y: np.ndarray, radius: np.ndarray) -> np.ndarray:

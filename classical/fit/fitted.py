@@ -34,7 +34,7 @@ def fitted_curves(
     starts = np.concatenate([[0], np.cumsum(counts)[:-1]])
     points = np.concatenate([curve.points for curve in curves])
     samples = CurveSamples(points, starts, np.ones(len(points)))
-    result = straightness(camera, samples, np.ones(len(points)))
+    result = straightness(camera, samples)
     rms = samples.curve_rms(result.residuals)
     reached = samples.curve_sums(~result.reached) == 0
     parts = np.split(result.residuals, starts[1:])

@@ -65,13 +65,12 @@ def perspective_instead(
     """
     width, height = camera.width, camera.height
     straight = projection(_STRENGTH, -1.0, width, height)
-    ones = np.ones(len(samples.points))
-    flat = straightness(straight, samples, ones).residuals
+    flat = straightness(straight, samples).residuals
     cost, bent, fisheye = (
-        _robust(straightness(lens, samples, ones).residuals / sigma) / redundancy
+        _robust(straightness(lens, samples).residuals / sigma) / redundancy
         for lens in (straight, camera, projection(_FISHEYE, 0.0, width, height))
     )
-    lengths = samples.curve_sums(samples.spans)
+    lengths = samples.lengths
     share = float(lengths[samples.curve_rms(flat) <= tolerance].sum() / lengths.sum())
     doubtful = cost - bent < config.doubtful_gain and share >= config.nearly_all
     if cost - bent >= config.least_gain and not doubtful:

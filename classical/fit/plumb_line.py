@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -18,7 +19,7 @@ from classical.fit.result import LensFit, ScaleSource
 from classical.fit.samples import CurveSamples, sample_curves
 from classical.fit.search import SearchConfig, search
 from classical.fit.solve import SolverConfig, solve
-from classical.fit.straightness import straightness
+from classical.fit.straightness import Straightness, straightness
 from classical.fit.vanishing import (
     ScaleEstimate,
     VanishingConfig,
@@ -206,10 +207,10 @@ def _curve_weights(
 
     Also the length-weighted median of the curves' RMS residuals.
     """
-    result = straightness(camera, samples, np.ones(len(samples.points)))
+    result = straightness(camera, samples)
     rms = samples.curve_rms(result.residuals)
     order = np.argsort(rms)
-    length = np.cumsum(samples.curve_sums(samples.spans)[order])
+    length = np.cumsum(samples.lengths[order])
     median = rms[order][np.searchsorted(length, 0.5 * length[-1])]
     return 1 / (1 + (rms / tolerance) ** 2) ** 2, float(median)
 
@@ -217,9 +218,9 @@ def _curve_weights(
 def _final_cost(samples: CurveSamples, camera: KannalaBrandt, config: FitConfig) -> float:
     """Length-weighted share of bent curves, by which starts compete; a weak prior breaks ties."""
     scale = camera.width / _REFERENCE_WIDTH
-    result = straightness(camera, samples, np.ones(len(samples.points)))
+    result = straightness(camera, samples)
     squared = (samples.curve_rms(result.residuals) / (config.inlier_tolerance * scale)) ** 2
-    lengths = samples.curve_sums(samples.spans)
+    lengths = samples.lengths
     z = generic_prior(float(camera.k[0]), camera.width, camera.height).encode(camera)
     return float((lengths * squared / (1 + squared)).sum() / lengths.sum() + 0.002 * (z @ z))
 
@@ -232,19 +233,20 @@ class _Problem:
     prior: LensPrior
     weights: np.ndarray  # of each residual: 1 / standard deviation
     frame: KannalaBrandt  # only its size is used
+    last: dict[str, Any] = field(default_factory=dict)
 
-    def _camera(self, z: np.ndarray) -> KannalaBrandt:
-        return self.prior.decode(z, self.frame.width, self.frame.height)
+    def _at(self, z: np.ndarray) -> Straightness:
+        """The solver asks for the Jacobian where it has just asked for the residuals."""
+        if self.last.get("z") != z.tobytes():
+            camera = self.prior.decode(z, self.frame.width, self.frame.height)
+            self.last.update(z=z.tobytes(), result=straightness(camera, self.samples))
+        return self.last["result"]
 
     def residuals(self, z: np.ndarray) -> np.ndarray:
-        ones = np.ones(len(self.samples.points))
-        return straightness(self._camera(z), self.samples, ones).residuals * self.weights
+        return self._at(z).residuals * self.weights
 
     def jacobian(self, z: np.ndarray) -> np.ndarray:
-        ones = np.ones(len(self.samples.points))
-        result = straightness(self._camera(z), self.samples, ones, jacobian=True)
-        assert result.jacobian is not None
-        return (result.jacobian @ self.prior.factor) * self.weights[:, None]
+        return (self._at(z).jacobian @ self.prior.factor) * self.weights[:, None]
 
 
 def _report(
@@ -338,9 +340,9 @@ def _vanishing_scale(
     assert config.vanishing is not None
     scale = camera.width / _REFERENCE_WIDTH
     few = samples.coarse(curves=config.vanishing.most_lines, most=12)
-    result = straightness(camera, few, np.ones(len(few.points)))
+    result = straightness(camera, few)
     good = few.curve_rms(result.residuals) <= config.inlier_tolerance * scale
-    lengths = few.curve_sums(few.spans)[good]
+    lengths = few.lengths[good]
     # a line of length L and noise σ turns by about 2 √3 σ / L, and by as much more as L subtends
     deviations = 2 * np.sqrt(3) * config.sigma_range[0] * scale / np.maximum(lengths, 1.0)
     return scale_from_directions(

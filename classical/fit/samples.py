@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -30,12 +31,27 @@ class CurveSamples:
         """Number of curves."""
         return len(self.starts)
 
-    @property
+    @cached_property
     def counts(self) -> Int[np.ndarray, " curves"]:
         """Points a curve, shape (C,)."""
         return np.diff(np.append(self.starts, len(self.points)))
 
-    @property
+    @cached_property
+    def u(self) -> Float[np.ndarray, " n"]:
+        """First coordinate of all points."""
+        return np.ascontiguousarray(self.points[:, 0])
+
+    @cached_property
+    def v(self) -> Float[np.ndarray, " n"]:
+        """Second coordinate of all points."""
+        return np.ascontiguousarray(self.points[:, 1])
+
+    @cached_property
+    def lengths(self) -> Float[np.ndarray, " curves"]:
+        """Length of each curve in pixels."""
+        return self.curve_sums(self.spans)
+
+    @cached_property
     def owner(self) -> Int[np.ndarray, " n"]:
         """Index of the curve that each point belongs to, shape (n,)."""
         return np.repeat(np.arange(self.n_curves), self.counts)
@@ -50,7 +66,7 @@ class CurveSamples:
 
     def coarse(self, *, curves: int, most: int) -> CurveSamples:
         """The longest `curves` curves with about `most` of their samples each, evenly picked."""
-        lengths = self.curve_sums(self.spans)
+        lengths = self.lengths
         chosen = np.sort(np.argsort(-lengths, kind="stable")[:curves])
         picks = []
         for first, count in zip(self.starts[chosen], self.counts[chosen], strict=True):

@@ -130,10 +130,10 @@ class _Consensus:
 
     def __call__(self, x: Float[np.ndarray, " 4"]) -> float:
         camera = self.camera(x)
-        result = straightness(camera, self.samples, np.ones(len(self.samples.points)))
+        result = straightness(camera, self.samples)
         residuals = np.where(result.reached, result.residuals, _BEYOND * self.tolerance)
         squared = (self.samples.curve_rms(residuals) / self.tolerance) ** 2
-        lengths = self.samples.curve_sums(self.samples.spans)
+        lengths = self.samples.lengths
         bent = float((lengths * squared / (1 + squared)).sum() / lengths.sum())
         z = generic_prior(float(np.exp(x[0])), self.width, self.height).encode(camera)
         return bent + 0.002 * float(z @ z)
