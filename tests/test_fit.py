@@ -4,10 +4,12 @@ import numpy as np
 import pytest
 
 from classical.camera import KannalaBrandt
+from classical.camera.ray_field import ray_field
 from classical.fit import FitConfig, LensPrior, fit_lens, generic_prior
+from classical.fit.prior import generic_surprise
 from classical.fit.quality import predicted_error
 from classical.fit.samples import CurveSamples, sample_curves
-from classical.fit.search import projection
+from classical.fit.search import family_field, projection
 from classical.fit.solve import solve
 from classical.fit.straightness import straightness
 from classical.lines import Curve
@@ -178,6 +180,28 @@ def test_prior_coordinates_round_trip() -> None:
     prior = generic_prior(0.8, WIDTH, HEIGHT)
     again = prior.decode(prior.encode(LENS), WIDTH, HEIGHT)
     np.testing.assert_allclose(again.to_vector(), LENS.to_vector(), rtol=1e-10)
+
+
+def test_surprise_is_the_distance_in_prior_coordinates() -> None:
+    ratios, shift = np.array([0.05, -0.02, 0.004, 0.001]), np.array([0.01, -0.03])
+    lens = KannalaBrandt.centred(0.8 * np.array([1.0, *ratios]), WIDTH, HEIGHT)
+    vector = lens.to_vector()
+    vector[7:] += shift * WIDTH / 2
+    moved = KannalaBrandt.from_vector(vector, WIDTH, HEIGHT)
+    z = generic_prior(0.8, WIDTH, HEIGHT).encode(moved)
+    assert generic_surprise(ratios, shift) == pytest.approx(z @ z, rel=1e-9)
+
+
+@pytest.mark.parametrize("b", [-0.5, 0.0, 0.4])
+def test_search_sees_with_the_lens_that_it_hands_on(b: float) -> None:
+    """The family's exact member against its polynomial: same rays, same Sampson field."""
+    u, v = np.random.default_rng(0).uniform([0, 0], [WIDTH, HEIGHT], (200, 2)).T
+    lens = projection(0.9, b, WIDTH, HEIGHT)
+    expected, _ = ray_field(lens, u, v)
+    field, reached = family_field((expected.x, expected.y), 0.9, b, WIDTH / 2)
+    assert reached.all()
+    np.testing.assert_allclose(field.rays(), expected.rays(), atol=2e-4)
+    np.testing.assert_allclose(field.jacobian(), expected.jacobian(), atol=2e-5)
 
 
 def test_no_curve_is_a_failure_with_its_reason() -> None:

@@ -132,3 +132,15 @@ def generic_prior(strength: float, width: int, height: int) -> LensPrior:
     along_strength[:5] = mean[:5] * _LOG_STRENGTH_DEVIATION
     covariance = np.diag(deviation**2) + np.outer(along_strength, along_strength)
     return LensPrior(mean, covariance)
+
+
+def generic_surprise(ratios: Float[np.ndarray, " 4"], shift: Float[np.ndarray, " 2"]) -> float:
+    """|z|² of a lens with square pixels under the `generic_prior` of its own strength.
+
+    Args:
+        ratios: k2..k5 over k1.
+        shift: Principal point off the picture's middle, half picture widths.
+    """
+    shape = (ratios - _RATIO_MEAN) / _RATIO_DEVIATION
+    centre = shift / _CENTRE_DEVIATION
+    return float(shape @ shape + centre @ centre)

@@ -9,20 +9,24 @@ f tan(|b|θ)/|b| for b < 0: orthographic at 1, equisolid at 1/2, equidistant at 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cache
 
 import nlopt
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from classical.camera import KannalaBrandt
-from classical.fit.prior import generic_prior
+from classical.camera.ray_field import RayField, plane_radius
+from classical.fit.circles import best_circles, sampson_distances
+from classical.fit.prior import generic_surprise
 from classical.fit.samples import CurveSamples
-from classical.fit.straightness import straightness
 
 _PROJECTIONS = (-0.5, 0.0, 0.5)
 _STRENGTHS = np.geomspace(0.4, 2.0, 6)  # f in half widths; 2.2 bends nothing visibly
 _THETA = np.linspace(0.02, 1.0, 48)  # of the widest angle, where the polynomial meets the family
 _BEYOND = 20.0  # cost a sample of a lens that does not reach it
+_EQUIDISTANT = 1e-6  # |b| up to which bθ is as good as sin bθ
+_WIDEST_SINE = float(np.sin(0.95 * np.pi / 2))  # of bθ, before r(θ) turns
 
 
 @dataclass(frozen=True)
@@ -59,13 +63,51 @@ def projection(strength: float, b: float, width: int, height: int) -> KannalaBra
         reach = min(reach, 0.95 * np.pi / 2 / b)
     if b < 0:
         reach = min(reach, 0.85 * np.pi / 2 / -b)
-    theta = reach * _THETA
-    straight = abs(b) < 1e-6
-    curved = np.sin if b > 0 else np.tan
-    radius = theta if straight else curved(b * theta) / b
-    powers = theta[:, None] ** (2 * np.arange(1, 5) + 1)
-    ratios = np.linalg.lstsq(powers, radius - theta, rcond=1e-8)[0]
+    half_turn = b * reach * _THETA
+    if abs(b) < _EQUIDISTANT:
+        off = np.zeros_like(_THETA)
+    else:
+        off = (np.sin if b > 0 else np.tan)(half_turn) / (b * reach) - _THETA
+    ratios = _inverse_powers() @ off / reach ** (2 * np.arange(1, 5))
     return KannalaBrandt.centred(strength * np.array([1.0, *ratios]), width, height)
+
+
+@cache
+def _inverse_powers() -> np.ndarray:
+    """The least-squares fit of θ³ … θ⁹ over `_THETA` as a matrix, shape (4, 48)."""
+    return np.linalg.pinv(_THETA[:, None] ** (2 * np.arange(1, 5) + 1))
+
+
+def family_field(
+    plane: tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]],
+    strength: float,
+    b: float,
+    scale: float,
+) -> tuple[RayField, Bool[np.ndarray, " n"]]:
+    """Rays of the family's exact member, and where it reaches the pixel.
+
+    Args:
+        plane: Pixels off the principal point, over `scale`.
+        strength: f in units of `scale`.
+        b: Member of the family.
+        scale: Pixels; half the picture's width.
+    """
+    radius = plane_radius(*plane)
+    value = (abs(b) / strength) * radius
+    if abs(b) < _EQUIDISTANT:
+        theta = radius / strength
+        slope = np.full(len(radius), 1 / strength)
+        reached = theta <= np.pi
+    elif b > 0:
+        reached = value <= _WIDEST_SINE
+        value = np.minimum(value, _WIDEST_SINE)
+        theta = np.arcsin(value) / b
+        slope = 1 / (strength * np.sqrt(1 - value * value))
+    else:
+        theta = np.arctan(value) / -b
+        slope = 1 / (strength * (1 + value * value))
+        reached = theta <= np.pi
+    return RayField.of_angles(plane, radius, theta, slope, (scale, scale)), np.asarray(reached)
 
 
 def search(
@@ -129,14 +171,22 @@ class _Consensus:
         )
 
     def __call__(self, x: Float[np.ndarray, " 4"]) -> float:
-        camera = self.camera(x)
-        result = straightness(camera, self.samples)
-        residuals = np.where(result.reached, result.residuals, _BEYOND * self.tolerance)
+        half, strength, b = self.width / 2, float(np.exp(x[0])), float(x[1])
+        plane = (
+            (self.samples.u - (self.width - 1) / 2) / half - x[2],
+            (self.samples.v - (self.height - 1) / 2) / half - x[3],
+        )
+        field, reached = family_field(plane, strength, b, half)
+        every = bool(reached.all())
+        circles = best_circles(field, self.samples, None if every else reached * 1.0)
+        residuals = sampson_distances(field, circles.normals, self.samples).distance
+        if not every:
+            residuals = np.where(reached, residuals, _BEYOND * self.tolerance)
         squared = (self.samples.curve_rms(residuals) / self.tolerance) ** 2
         lengths = self.samples.lengths
         bent = float((lengths * squared / (1 + squared)).sum() / lengths.sum())
-        z = generic_prior(float(np.exp(x[0])), self.width, self.height).encode(camera)
-        return bent + 0.002 * float(z @ z)
+        ratios = projection(strength, b, self.width, self.height).k[1:] / strength
+        return bent + 0.002 * generic_surprise(ratios, x[2:])
 
 
 def _refine(
