@@ -17,6 +17,7 @@ from jaxtyping import Float
 from classical.camera import KannalaBrandt, radial_coefficients
 
 _HYPOTHESES = 160  # frames tried for each s
+_REFINEMENTS = 3
 _LEAST_DEVIATION = 0.03  # of log s: scenes are never quite orthogonal
 _LEAST_ANGLE = np.radians(15.0)  # between normals that may define a direction
 
@@ -83,16 +84,16 @@ def scale_from_directions(
     least, most = np.log(config.scales)
     grid = np.linspace(least, most, config.steps)
     tolerance = np.hypot(config.tolerance, deviations)
-    votes, frames = zip(
-        *(_best_frame(normals, weights, tolerance, triples, float(np.exp(g))) for g in grid),
-        strict=True,
-    )
-    score = np.array(votes)
+    moved = _scaled(normals, np.exp(grid))
+    frames = np.stack([_best_frame(lines, weights, tolerance, triples) for lines in moved])
+    for _ in range(_REFINEMENTS):
+        frames = _refined(moved, weights, tolerance, frames)
+    score = _votes(moved, weights, tolerance, frames[:, None])[:, 0]
     best = int(np.argmax(score))
     if best in (0, len(grid) - 1):
         return None
     log_scale, deviation = _peak(grid, score, best, float((weights**2).sum() / weights.sum()))
-    support = _support(normals, tolerance, frames[best], float(np.exp(grid[best])))
+    support = _support(moved[best], tolerance, frames[best])
     enough = support.sum() >= config.fewest_lines and support[1] >= config.fewest_lines / 3
     if not enough or not np.isfinite(deviation):
         return None
@@ -114,9 +115,12 @@ def rescaled(camera: KannalaBrandt, scale: float) -> KannalaBrandt:
     return KannalaBrandt.from_vector(vector, camera.width, camera.height)
 
 
-def _scaled(normals: np.ndarray, scale: float) -> np.ndarray:
-    """Normals of the circles after rays (x, y, z) became (s x, s y, z)."""
-    moved = normals * [1.0, 1.0, scale]
+def _scaled(
+    normals: Float[np.ndarray, "n 3"], scales: Float[np.ndarray, " s"]
+) -> Float[np.ndarray, "s n 3"]:
+    """Normals of the circles after rays (x, y, z) became (x, y, z / s), for each s."""
+    moved = np.repeat(normals[None], len(scales), axis=0)
+    moved[:, :, 2] *= scales[:, None]
     return moved / np.linalg.norm(moved, axis=-1, keepdims=True)
 
 
@@ -131,56 +135,80 @@ def _draw(normals: np.ndarray, weights: np.ndarray, rng: np.random.Generator) ->
 
 
 def _best_frame(
-    normals: np.ndarray, weights: np.ndarray, tolerance: np.ndarray, triples: np.ndarray, s: float
-) -> tuple[float, np.ndarray]:
-    """Vote of the best frame for one s, refined on the lines that follow it."""
-    moved = _scaled(normals, s)
-    v1 = np.cross(moved[triples[:, 0]], moved[triples[:, 1]])
-    v1 /= np.maximum(np.linalg.norm(v1, axis=1, keepdims=True), 1e-12)
-    v2 = np.cross(v1, moved[triples[:, 2]])
-    v2 /= np.maximum(np.linalg.norm(v2, axis=1, keepdims=True), 1e-12)
-    frames = np.stack([v1, v2, np.cross(v1, v2)], axis=1)
-    votes = _votes(moved, weights, tolerance, frames)
-    frame = frames[int(np.argmax(votes))]
-    for _ in range(3):
-        frame = _refined(moved, weights, tolerance, frame)
-    return float(_votes(moved, weights, tolerance, frame[None])[0]), frame
+    lines: np.ndarray, weights: np.ndarray, tolerance: np.ndarray, triples: np.ndarray
+) -> Float[np.ndarray, "3 3"]:
+    """The frame of most votes among those that triples of lines span, for one s."""
+    first, second, third = (lines[column] for column in triples.T)
+    v1 = _unit(_cross(first, second))
+    v2 = _unit(_cross(v1, third))
+    frames = np.stack([v1, v2, _cross(v1, v2)], axis=1)
+    return frames[int(np.argmax(_votes(lines, weights, tolerance, frames)))]
 
 
 def _votes(
-    moved: np.ndarray, weights: np.ndarray, tolerance: np.ndarray, frames: np.ndarray
-) -> np.ndarray:
-    """Geman–McClure votes of all lines for each frame, shape (frames,)."""
-    off = np.abs(np.einsum("fai,ni->fan", frames, moved)).min(axis=1) / tolerance
-    return (weights / (1 + off**2) ** 2).sum(axis=1)
+    lines: Float[np.ndarray, "*s n 3"],
+    weights: Float[np.ndarray, " n"],
+    tolerance: Float[np.ndarray, " n"],
+    frames: Float[np.ndarray, "*s f 3 3"],
+) -> Float[np.ndarray, "*s f"]:
+    """Geman–McClure votes of all lines for each frame: Σ w / (1 + off²)²."""
+    across = lines.swapaxes(-1, -2) / tolerance
+    off = np.matmul(frames[..., 0, :], across)
+    off *= off
+    for axis in (1, 2):
+        other = np.matmul(frames[..., axis, :], across)
+        other *= other
+        np.minimum(off, other, out=off)
+    off += 1.0
+    off *= off
+    np.reciprocal(off, out=off)
+    return off @ weights
 
 
 def _refined(
-    moved: np.ndarray, weights: np.ndarray, tolerance: np.ndarray, frame: np.ndarray
-) -> np.ndarray:
+    lines: Float[np.ndarray, "s n 3"],
+    weights: Float[np.ndarray, " n"],
+    tolerance: Float[np.ndarray, " n"],
+    frames: Float[np.ndarray, "s 3 3"],
+) -> Float[np.ndarray, "s 3 3"]:
     """One re-weighted step: each direction from its lines, then the nearest rotation."""
-    products = frame @ moved.T
-    owner = np.abs(products).argmin(axis=0)
-    off = np.abs(products).min(axis=0) / tolerance
+    products = np.abs(np.matmul(frames, lines.swapaxes(-1, -2)))
+    nearest = products.argmin(axis=1)[:, None]
+    off = products.min(axis=1) / tolerance
     pull = weights / (1 + off**2) ** 3 / tolerance**2
-    rows, strength = frame.copy(), np.zeros(3)
-    for axis in range(3):
-        mine = owner == axis
-        if mine.sum() >= 2:
-            scatter = (moved[mine] * pull[mine, None]).T @ moved[mine]
-            values, vectors = np.linalg.eigh(scatter)
-            row = vectors[:, 0]
-            rows[axis] = row * np.sign(row @ frame[axis] or 1.0)
-            strength[axis] = values[1]
-    u, _, vt = np.linalg.svd((rows * (strength[:, None] + 1e-3 * strength.max() + 1e-9)).T)
-    rotation = (u @ vt).T
-    return rotation if np.linalg.det(rotation) > 0 else (u @ np.diag([1, 1, -1.0]) @ vt).T
+    mine = nearest == np.arange(3)[:, None]
+    weighted = (mine * pull[:, None])[..., None] * lines[:, None]  # (s, 3, n, 3)
+    values, vectors = np.linalg.eigh(np.matmul(lines.swapaxes(-1, -2)[:, None], weighted))
+    rows = vectors[..., 0]
+    rows = rows * np.where((rows * frames).sum(axis=-1, keepdims=True) < 0, -1.0, 1.0)
+    known = mine.sum(axis=-1) >= 2
+    rows = np.where(known[..., None], rows, frames)
+    strength = np.where(known, values[..., 1], 0.0)
+    strength += 1e-3 * strength.max(axis=1, keepdims=True) + 1e-9
+    u, _, vt = np.linalg.svd((rows * strength[..., None]).swapaxes(-1, -2))
+    vt[np.linalg.det(u) * np.linalg.det(vt) < 0, 2] *= -1.0
+    return np.matmul(u, vt).swapaxes(-1, -2)
 
 
-def _support(normals: np.ndarray, tolerance: np.ndarray, frame: np.ndarray, s: float) -> np.ndarray:
-    off = np.abs(frame @ _scaled(normals, s).T)
+def _support(
+    lines: Float[np.ndarray, "n 3"],
+    tolerance: Float[np.ndarray, " n"],
+    frame: Float[np.ndarray, "3 3"],
+) -> Float[np.ndarray, " 3"]:
+    off = np.abs(frame @ lines.T)
     owner, near = off.argmin(axis=0), off.min(axis=0) < tolerance
     return np.sort(np.bincount(owner[near], minlength=3))[::-1].astype(np.float64)
+
+
+def _cross(a: Float[np.ndarray, "n 3"], b: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3"]:
+    """`np.cross` without its overhead."""
+    (ax, ay, az), (bx, by, bz) = a.T, b.T
+    return np.stack([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx], axis=1)
+
+
+def _unit(vectors: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3"]:
+    length = np.sqrt((vectors * vectors).sum(axis=1, keepdims=True))
+    return vectors / np.maximum(length, 1e-12)
 
 
 def _peak(grid: np.ndarray, score: np.ndarray, best: int, unit: float) -> tuple[float, float]:
