@@ -148,7 +148,7 @@ def _rectifier(config: RectifyConfig) -> Rectifier:
 def _warped(image: np.ndarray, found: Calibration, config: RectifyConfig) -> Rectification:
     """The picture straightened by what was found, or as it is."""
     try:
-        target = None if found.camera is None else _target(found.camera, config)
+        target = None if found.camera is None else straight_target(found.camera, config)
     except ValueError as error:
         return _untouched(image, found, "failed", f"the lens cannot be shown: {error}")
     if found.camera is None or target is None:
@@ -174,7 +174,12 @@ def _untouched(image: np.ndarray, found: Calibration, status: Status, reason: st
     return Rectification(image, valid, None, None, curves, found.quality, status, reason)
 
 
-def _target(camera: KannalaBrandt, config: RectifyConfig) -> Pinhole:
+def straight_target(camera: KannalaBrandt, config: RectifyConfig) -> Pinhole:
+    """The camera of the straight picture that a config asks for.
+
+    Raises:
+        ValueError: If no part of the picture can be shown so.
+    """
     return pinhole_target(
         camera,
         focal=config.focal,
