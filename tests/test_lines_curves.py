@@ -417,20 +417,20 @@ def test_a_heatmap_of_another_shape_is_refused(image):
 # ---- the type ------------------------------------------------------------------------------
 
 
-def test_resampling_averages_the_noise_away():
+def test_thinning_averages_the_noise_away():
     rng = np.random.default_rng(0)
     u = np.linspace(0, 300, 301)
     curve = Curve(np.stack([u, 50 + rng.normal(0, 0.3, 301)], axis=1), 0.3, 1.0)
-    coarse = curve.resampled(10.0)
-    assert 29 <= len(coarse.points) <= 33
-    assert np.std(coarse.points[:, 1]) < 0.15
-    assert coarse.length == pytest.approx(curve.chord, abs=15)
+    coarse = curve.thinned(10.0)
+    assert 29 <= len(coarse) <= 33
+    assert np.std(coarse[:, 1]) < 0.15
+    assert coarse[-1, 0] - coarse[0, 0] == pytest.approx(curve.chord, abs=15)
 
 
-def test_resampling_leaves_gaps_empty():
+def test_thinning_leaves_gaps_empty():
     u = np.concatenate([np.arange(0.0, 50), np.arange(150.0, 200)])
-    coarse = Curve(np.stack([u, 0 * u], axis=1), 0.1, 1.0).resampled(10.0)
-    assert not ((coarse.points[:, 0] > 60) & (coarse.points[:, 0] < 140)).any()
+    coarse = Curve(np.stack([u, 0 * u], axis=1), 0.1, 1.0).thinned(10.0)
+    assert not ((coarse[:, 0] > 60) & (coarse[:, 0] < 140)).any()
 
 
 @pytest.mark.parametrize(

@@ -83,7 +83,7 @@ def sample_curves(
 ) -> CurveSamples:
     """Thin each curve to points about `spacing` pixels apart.
 
-    A sample is the mean of the points around it (`Curve.resampled`), so that the noise of
+    A sample is the mean of the points around it (`Curve.thinned`), so that the noise of
     neighbouring edge points is averaged and not thrown away.
 
     Args:
@@ -98,7 +98,7 @@ def sample_curves(
     if not curves:
         raise ValueError("Expected at least one curve, got none.")
     sampled = [
-        curve.resampled(curve.length / np.clip(round(curve.length / spacing), least, most)).points
+        curve.thinned(curve.length / min(max(round(curve.length / spacing), least), most))
         for curve in curves
     ]
     counts = np.array([len(points) for points in sampled])

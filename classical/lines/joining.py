@@ -15,6 +15,7 @@ import numpy as np
 from jaxtyping import Float
 
 from classical.camera import Division, KannalaBrandt, Pinhole
+from classical.camera.ray_field import ray_field
 from classical.lines.curve import Curve
 
 _SPACING = 4.0  # pixels between the points that are used to compare curves
@@ -93,7 +94,10 @@ def join_curves(
 def sampson_rays(
     points: Float[np.ndarray, "n 2"], camera: KannalaBrandt | Division | Pinhole
 ) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, "n 3 2"]]:
-    """Rays of pixels and their derivatives by central differences, any camera; NaN if unseen."""
+    """Rays of pixels and their derivatives, by central differences where need be; NaN if unseen."""
+    if isinstance(camera, KannalaBrandt):
+        field, valid = ray_field(camera, points[:, 0], points[:, 1])
+        return np.where(valid[:, None], field.rays(), np.nan), field.jacobian()
     rays, valid = camera.unproject(points)
     derivative = np.empty((len(points), 3, 2))
     for axis in (0, 1):
@@ -110,48 +114,48 @@ def _describe(
     curves: list[Curve], camera: KannalaBrandt | Division | Pinhole
 ) -> tuple[_Pieces, list[int]]:
     """Statistics of the curves that the camera sees, and the indices of the others."""
-    coarse = [curve.resampled(_SPACING).points for curve in curves]
-    stops = np.cumsum([len(points) for points in coarse]).tolist()
     if not curves:
         none = np.empty((0, 3))
         return _Pieces(
             np.empty((0, 3, 3)), none[:, 0], none[:, 0], none[:, 0], np.empty((0, 2, 2)),
             np.empty((0, 2, 3)), none, [],
         ), []  # fmt: skip
+    coarse = [curve.thinned(_SPACING) for curve in curves]
+    count = np.array([len(points) for points in coarse])
     rays, derivative = sampson_rays(np.concatenate(coarse), camera)
-    scatter, members, end_rays, middle, unseen = [], [], [], [], []
-    for k, stop in enumerate(stops):
-        piece = slice(stop - len(coarse[k]), stop)
-        if not np.isfinite(rays[piece]).all():
-            unseen.append(k)
-            continue
-        scatter.append(_scatter(rays[piece], derivative[piece]))
-        members.append([k])
-        end_rays.append(rays[piece][[0, -1]])
-        middle.append(rays[piece].mean(axis=0))
-    seen = [group[0] for group in members]
-    count = np.array([len(coarse[k]) for k in seen], dtype=float)
+    finite = np.isfinite(rays[:, 0])
+    visible = np.logical_and.reduceat(finite, np.cumsum(count) - count)
+    seen, unseen = np.flatnonzero(visible).tolist(), np.flatnonzero(~visible).tolist()
+    inside = np.repeat(visible, count)
+    rays, derivative, count = rays[inside], derivative[inside], count[visible]
+    last = np.cumsum(count) - 1
+    starts = last + 1 - count
+    scatter = _scatter(rays, derivative, starts, count)
     return _Pieces(
-        np.array(scatter).reshape(-1, 3, 3),
-        count,
-        _own_rms(np.array(scatter).reshape(-1, 3, 3), count),
+        scatter,
+        count.astype(np.float64),
+        _own_rms(scatter, count),
         np.array([curves[k].length for k in seen]),
-        np.array([curves[k].points[[0, -1]] for k in seen]).reshape(-1, 2, 2),
-        np.array(end_rays).reshape(-1, 2, 3),
-        np.array(middle).reshape(-1, 3),
-        members,
+        np.array([(curves[k].points[0], curves[k].points[-1]) for k in seen]).reshape(-1, 2, 2),
+        np.stack([rays[starts], rays[last]], axis=1),
+        np.add.reduceat(rays, starts) / count[:, None] if seen else np.empty((0, 3)),
+        [[k] for k in seen],
     ), unseen
 
 
-def _scatter(rays: np.ndarray, derivative: np.ndarray) -> np.ndarray:
-    """A of one curve, weighted for its own circle."""
-    weight = np.ones(len(rays))
-    scatter = rays.T @ rays
+def _scatter(
+    rays: np.ndarray, derivative: np.ndarray, starts: np.ndarray, count: np.ndarray
+) -> np.ndarray:
+    """A of each curve, weighted for its own circle, shape (C, 3, 3)."""
+    if not len(starts):
+        return np.empty((0, 3, 3))
+    outer = rays[:, :, None] * rays[:, None, :]
+    scatter = np.add.reduceat(outer, starts)
     for _ in range(_REWEIGHTINGS):
-        normal = np.linalg.eigh(scatter)[1][:, 0]
-        slope = np.einsum("i,nij->nj", normal, derivative)
+        normal = np.repeat(np.linalg.eigh(scatter)[1][:, :, 0], count, axis=0)
+        slope = np.matmul(normal[:, None], derivative)[:, 0]
         weight = 1 / np.maximum((slope**2).sum(axis=1), 1e-20)
-        scatter = (rays * weight[:, None]).T @ rays
+        scatter = np.add.reduceat(outer * weight[:, None, None], starts)
     return scatter
 
 
