@@ -5,8 +5,8 @@ from pathlib import Path
 
 import numpy as np
 
-from classical.camera import KannalaBrandt
-from eval.calibrations import fitted_polynomial, read_calibration
+from classical.camera import KannalaBrandt, radial_coefficients
+from classical.camera.formats import read_lens
 from eval.cases import Case, Suite, read_picture
 from eval.metrics import THETA_MAX
 from learned.slf.pack import PICTURE_SUFFIXES, picture_paths
@@ -89,7 +89,7 @@ def load_calibrated_list(
 
 
 def load_calibrated_folder(
-    folder: Path, calibration: Path, *, camera: str = "cam0", name: str | None = None
+    folder: Path, calibration: Path, *, camera: str | None = None, name: str | None = None
 ) -> Suite:
     """Load photographs of one camera whose calibration is a file.
 
@@ -97,14 +97,14 @@ def load_calibrated_folder(
 
     Args:
         folder: The photographs.
-        calibration: OpenCV YAML, Kalibr camchain or OCamCalib text.
-        camera: Which camera of a camchain.
+        calibration: A camera file of any known format.
+        camera: Which camera, where the file holds several.
         name: Name of the suite, by default the folder's.
 
     Raises:
         ValueError: If there are no pictures or sizes do not fit.
     """
-    lens = read_calibration(calibration, camera=camera)
+    lens = read_lens(calibration, camera)
     group = name or folder.name
     cases = [
         Case(_case_name(p, folder), p, _fitted_to(lens, p), group) for p in picture_paths(folder)
@@ -153,7 +153,7 @@ def equisolid_camera(
         field: Full field of view in radians.
     """
     theta = np.linspace(0.0, field / 2, 400)
-    k = fitted_polynomial(theta, 4 * focal_mm / sensor_mm * np.sin(theta / 2))
+    k = radial_coefficients(theta, 4 * focal_mm / sensor_mm * np.sin(theta / 2))
     return KannalaBrandt.centred(k, width, height)
 
 
@@ -169,7 +169,7 @@ def _video_camera(sequence: Path, root: Path, width: int, height: int) -> Kannal
     for place in (sequence, *sequence.parents):
         found = sorted(place.glob("calib_results*.txt"))
         if found:
-            lens = read_calibration(found[0])
+            lens = read_lens(found[0])
             return (
                 lens
                 if (lens.width, lens.height) == (width, height)

@@ -1,7 +1,8 @@
-"""camera.json: a lens in words that other programs can read.
+"""Camera files: ours, which says how far to trust the lens, and those of other programs.
 
-The file holds the Kannala–Brandt parameters as this project uses them and the same lens as OpenCV's
-fisheye model (K and D). Reading takes the first; the second is for other programs.
+Ours is JSON with the Kannala–Brandt parameters as this project uses them and the same lens as K and
+D of `cv2.fisheye`. `classical.camera.formats` holds the other formats; an ST-map is a warp that
+carries our file in its header.
 """
 
 from __future__ import annotations
@@ -10,18 +11,38 @@ import json
 import math
 import os
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from classical.camera import KannalaBrandt
+from classical.camera import KannalaBrandt, Residual
+from classical.camera.formats import (
+    CAMERA_FORMATS,
+    Content,
+    Record,
+    cameras_of,
+    chosen_camera,
+    kind_of,
+    read_content,
+    shown,
+    straightlens,
+)
 from classical.files import atomic_path
+from classical.warp import (
+    distort_maps,
+    is_stmap_name,
+    read_stmap_note,
+    undistort_maps,
+    write_stmap,
+)
+from hybrid.config import RectifyConfig
+from hybrid.pipeline import straight_target
 from hybrid.result import Quality, Status
 
-FORMAT = "straightlens camera"
-VERSION = 1
-_NUMBERS = ("m_u", "m_v", "u0", "v0")
+OWN_FORMAT = "straightlens"
+_FORMATS = {row.name: row for row in CAMERA_FORMATS}
+_STMAPS = {"stmap": undistort_maps, "stmap-redistort": distort_maps}
+_KNOWN_QUALITY = ("rms_px", "predicted_error_px", "scale_deviation")  # NaN where they are not
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,109 +62,116 @@ class CameraFile:
     quality: Quality
 
 
-def camera_dict(camera: KannalaBrandt) -> dict[str, Any]:
-    """The lens in plain numbers: our parameters, θ_max in degrees, and OpenCV's K and D."""
-    K, D = camera.to_opencv()
-    return {
-        "model": "kannala-brandt",
-        "k": camera.k.tolist(),
-        **{name: float(getattr(camera, name)) for name in _NUMBERS},
-        "width": camera.width,
-        "height": camera.height,
-        "theta_max_degrees": math.degrees(camera.theta_max),
-        "opencv_fisheye": {"K": K.tolist(), "D": D.tolist()},
-    }
+def format_names() -> tuple[str, ...]:
+    """Names of the formats that `write_camera` knows."""
+    return (OWN_FORMAT, *_FORMATS, *_STMAPS)
+
+
+def format_suffix(kind: str) -> str:
+    """The usual ending of the files of a format."""
+    return _FORMATS[kind].suffix if kind in _FORMATS else ".tif" if kind in _STMAPS else ".json"
+
+
+def write_camera(
+    path: str | os.PathLike[str],
+    content: CameraFile,
+    kind: str = OWN_FORMAT,
+    *,
+    frame: RectifyConfig = RectifyConfig(),
+) -> Residual | None:
+    """Write a camera file, whole or not at all.
+
+    Args:
+        path: Where to; an ST-map ends in .exr, .tif or .tiff.
+        content: The lens; what is known about it is kept in our own format and in ST-maps.
+        kind: One of `format_names`.
+        frame: The straight picture of an ST-map.
+
+    Returns:
+        How near the written model comes to the lens, where it is another model; else None.
+
+    Raises:
+        ValueError: If there is no such format, or the lens cannot be written in it.
+        OSError: If the file cannot be written.
+    """
+    if kind not in format_names():
+        raise ValueError(f"Expected a format in {', '.join(format_names())}, got {kind!r}.")
+    if kind in _STMAPS:
+        target = straight_target(content.camera, frame)
+        write_stmap(path, _STMAPS[kind](content.camera, target), note=_own_text(content))
+        return None
+    text, residual = _own_text(content), None
+    if kind in _FORMATS:
+        text, residual = _FORMATS[kind].export(content.camera)
+    with atomic_path(path) as temporary:
+        temporary.write_text(text, encoding="utf-8")
+    return residual
+
+
+def read_camera(path: str | os.PathLike[str], camera: str | None = None) -> CameraFile:
+    """Read a camera file of any format that `write_camera` knows, told by its content.
+
+    Args:
+        path: The file.
+        camera: Which camera, where the file holds several (cam0 of Kalibr, a number of COLMAP).
+
+    Raises:
+        FileNotFoundError: If there is none.
+        ValueError: If it is no camera file; the message names the file and the field.
+    """
+    try:
+        is_map = is_stmap_name(path)
+        content = Content(read_stmap_note(path)) if is_map else read_content(path)
+        lens = chosen_camera(cameras_of(content), camera)
+        if kind_of(content) is not straightlens:
+            return CameraFile(lens, "ok", "read from a file of another program", Quality())
+        return CameraFile(lens, *_trust(content.record))
+    except ValueError as error:
+        raise ValueError(f"{path}: {str(error).removeprefix(f'{path}: ')}") from None
 
 
 def quality_dict(quality: Quality) -> dict[str, Any]:
     """The quality in plain numbers; what is not known is null, as JSON has no NaN."""
+    known = {name: getattr(quality, name) for name in _KNOWN_QUALITY}
     return {
-        "rms_px": _finite(quality.rms_px),
         "n_curves": quality.n_curves,
         "n_inliers": quality.n_inliers,
-        "predicted_error_px": _finite(quality.predicted_error_px),
         "scale_source": quality.scale_source,
-        "scale_deviation": _finite(quality.scale_deviation),
         "covariance": quality.covariance.tolist(),
-    }
+    } | {name: float(value) if math.isfinite(value) else None for name, value in known.items()}
 
 
-def write_camera(path: str | os.PathLike[str], content: CameraFile) -> None:
-    """Write a camera file, whole or not at all."""
+def _own_text(content: CameraFile) -> str:
     fields = {
-        "format": FORMAT,
-        "version": VERSION,
+        **straightlens.header(),
         "status": content.status,
         "reason": content.reason,
-        **camera_dict(content.camera),
+        **straightlens.lens_fields(content.camera),
         "quality": quality_dict(content.quality),
     }
-    with atomic_path(path) as temporary:
-        temporary.write_text(json.dumps(fields, indent=2) + "\n", encoding="utf-8")
+    return json.dumps(fields, indent=2) + "\n"
 
 
-def read_camera(path: str | os.PathLike[str]) -> CameraFile:
-    """Read a camera file.
-
-    Raises:
-        FileNotFoundError: If there is none.
-        ValueError: If it is no camera file of a version that is known; the message names the file
-            and the field.
-    """
-    try:
-        fields = json.loads(Path(path).read_text(encoding="utf-8"))
-    except ValueError as error:
-        raise ValueError(f"{path}: not a camera file: {error}") from None
-    if not isinstance(fields, dict) or fields.get("format") != FORMAT:
-        raise ValueError(f'{path}: not a camera file: expected "format": "{FORMAT}"')
-    if fields.get("version") != VERSION:
-        raise ValueError(f"{path}: expected version {VERSION}, got {fields.get('version')!r}")
-    if fields.get("model") != "kannala-brandt":
-        raise ValueError(f"{path}: expected the model kannala-brandt, got {fields.get('model')!r}")
-    try:
-        return CameraFile(
-            _camera(fields), _status(fields), str(fields.get("reason", "")), _quality(fields)
-        )
-    except KeyError as error:
-        raise ValueError(f"{path}: the field {error.args[0]!r} is missing") from None
-    except (TypeError, ValueError) as error:
-        raise ValueError(f"{path}: {error}") from None
+def _trust(record: Record) -> tuple[Status, str, Quality]:
+    """What our own file says beside the lens."""
+    status = record.text("status", default="ok")
+    if status != "ok" and status != "degraded":
+        raise ValueError(f"expected the status ok or degraded, got {shown(status)}")
+    reason = record.text("reason", default="")
+    return status, reason, _quality(record.part("quality")) if "quality" in record else Quality()
 
 
-def _camera(fields: dict[str, Any]) -> KannalaBrandt:
-    m_u, m_v, u0, v0 = (float(fields[name]) for name in _NUMBERS)
-    k = np.array(fields["k"], dtype=np.float64)
-    if k.shape != (5,):
-        raise ValueError(f"expected k of shape (5,), got {k.shape}")
-    return KannalaBrandt(k, m_u, m_v, u0, v0, int(fields["width"]), int(fields["height"]))
-
-
-def _status(fields: dict[str, Any]) -> Status:
-    status = fields.get("status", "ok")
-    if status not in ("ok", "degraded"):
-        raise ValueError(f"expected the status ok or degraded, got {status!r}")
-    return status
-
-
-def _quality(fields: dict[str, Any]) -> Quality:
-    quality = fields.get("quality", {})
-    covariance = np.array(quality.get("covariance", np.zeros((9, 9))), dtype=np.float64)
-    if covariance.shape != (9, 9):
-        raise ValueError(f"expected a covariance of shape (9, 9), got {covariance.shape}")
+def _quality(record: Record) -> Quality:
+    covariance = np.zeros(81)
+    if "covariance" in record:
+        covariance = record.numbers("covariance", count=81)
+    known = {name: record.optional_number(name) for name in _KNOWN_QUALITY}
+    counts = (record.optional_number(name) for name in ("n_curves", "n_inliers"))
+    n_curves, n_inliers = (0 if math.isnan(count) else int(count) for count in counts)
     return Quality(
-        rms_px=_number(quality.get("rms_px")),
-        n_curves=int(quality.get("n_curves", 0)),
-        n_inliers=int(quality.get("n_inliers", 0)),
-        covariance=covariance,
-        predicted_error_px=_number(quality.get("predicted_error_px")),
-        scale_source=str(quality.get("scale_source", "")),
-        scale_deviation=_number(quality.get("scale_deviation")),
+        n_curves=n_curves,
+        n_inliers=n_inliers,
+        covariance=covariance.reshape(9, 9),
+        scale_source=record.text("scale_source", default=""),
+        **known,
     )
-
-
-def _finite(value: float) -> float | None:
-    return float(value) if math.isfinite(value) else None
-
-
-def _number(value: float | None) -> float:
-    return math.nan if value is None else float(value)

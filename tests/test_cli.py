@@ -334,7 +334,7 @@ def test_a_camera_file_is_plain_json_with_the_lens_of_opencv(tmp_path):
         ({"version": 2}, "version 1"),
         ({"format": "other"}, "not a camera file"),
         ({"model": "pinhole"}, "kannala-brandt"),
-        ({"k": [1, 2]}, "shape"),
+        ({"k": [1, 2]}, "5 numbers"),
         ({"k": None}, "c.json"),
         ({"m_u": -1}, "positive"),
         ({"m_u": float("nan")}, "finite"),

@@ -2,6 +2,7 @@
 
 Red is the column and green the row in the source, divided by its size, with pixel centres at
 (i + 0.5) / n and the origin in the bottom-left corner; blue is 1 where the source has a pixel.
+A note in the header (ImageDescription of TIFF, `straightlens` of EXR) can name the camera.
 """
 
 from __future__ import annotations
@@ -9,6 +10,7 @@ from __future__ import annotations
 import os
 from pathlib import Path
 from types import ModuleType
+from typing import Any
 
 import numpy as np
 import tifffile
@@ -18,14 +20,16 @@ from classical.warp.maps import OUTSIDE, WarpMaps
 
 _SUFFIXES = (".tif", ".tiff", ".exr")
 _CHANNELS = ("R", "G", "B")
+_NOTE = "straightlens"  # attribute of EXR
 
 
-def write_stmap(path: str | os.PathLike[str], maps: WarpMaps) -> None:
+def write_stmap(path: str | os.PathLike[str], maps: WarpMaps, note: str = "") -> None:
     """Write a map as a 32-bit float RGB file, TIFF or EXR by its suffix.
 
     Args:
         path: Ends in .tif, .tiff or .exr; the last needs the package OpenEXR.
         maps: The map; `undistort_maps` for straightening, `distort_maps` for the way back.
+        note: Text in ASCII for the header.
 
     Raises:
         ValueError: If the suffix is another, or OpenEXR is not installed.
@@ -37,9 +41,10 @@ def write_stmap(path: str | os.PathLike[str], maps: WarpMaps) -> None:
     pixels[~maps.valid] = 0
     with atomic_path(path) as temporary:
         if suffix == ".exr":
-            _write_exr(temporary, pixels)
+            _write_exr(temporary, pixels, note)
         else:
-            tifffile.imwrite(temporary, pixels, photometric="rgb", compression="zlib")
+            options = {"photometric": "rgb", "compression": "zlib", "metadata": None}
+            tifffile.imwrite(temporary, pixels, description=note or None, **options)
 
 
 def read_stmap(path: str | os.PathLike[str], source_width: int, source_height: int) -> WarpMaps:
@@ -70,6 +75,31 @@ def read_stmap(path: str | os.PathLike[str], source_width: int, source_height: i
     return WarpMaps(u, v, valid, source_width, source_height)
 
 
+def read_stmap_note(path: str | os.PathLike[str]) -> str:
+    """The note in the header of an ST-map; empty where there is none.
+
+    Args:
+        path: A file as `write_stmap` makes it.
+
+    Raises:
+        FileNotFoundError: If there is no such file.
+        ValueError: If it is no EXR or TIFF.
+    """
+    try:
+        if _suffix(path) == ".exr":
+            with _opened_exr(Path(path)) as file:
+                return str(file.header().get(_NOTE, ""))
+        with tifffile.TiffFile(path) as file:
+            return file.pages.first.description
+    except (tifffile.TiffFileError, RuntimeError, IndexError) as error:
+        raise ValueError(f"Expected an ST-map, got {path}: {error}") from error
+
+
+def is_stmap_name(path: str | os.PathLike[str]) -> bool:
+    """True where the suffix is one of an ST-map."""
+    return Path(path).suffix.lower() in _SUFFIXES
+
+
 def _suffix(path: str | os.PathLike[str]) -> str:
     suffix = Path(path).suffix.lower()
     if suffix not in _SUFFIXES:
@@ -77,21 +107,27 @@ def _suffix(path: str | os.PathLike[str]) -> str:
     return suffix
 
 
-def _write_exr(path: Path, pixels: np.ndarray) -> None:
+def _write_exr(path: Path, pixels: np.ndarray, note: str) -> None:
     OpenEXR = _open_exr()
     header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
+    if note:
+        header[_NOTE] = note
     planes = {name: np.ascontiguousarray(pixels[..., i]) for i, name in enumerate(_CHANNELS)}
     with OpenEXR.File(header, planes) as file:
         file.write(str(path))
 
 
 def _read_exr(path: Path) -> np.ndarray:
+    with _opened_exr(path) as file:
+        channels = file.channels()
+        return np.stack([channels[name].pixels for name in _CHANNELS], axis=-1)
+
+
+def _opened_exr(path: Path) -> Any:
     OpenEXR = _open_exr()
     if not path.is_file():
         raise FileNotFoundError(f"No such file: {path}")
-    with OpenEXR.File(str(path), separate_channels=True) as file:
-        channels = file.channels()
-        return np.stack([channels[name].pixels for name in _CHANNELS], axis=-1)
+    return OpenEXR.File(str(path), separate_channels=True)
 
 
 def _open_exr() -> ModuleType:

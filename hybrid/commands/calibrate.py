@@ -10,11 +10,20 @@ from typing import Any
 import click
 import numpy as np
 
+from classical.camera import Residual
+from classical.camera.formats import lens_fields
 from hybrid.arrays import unit_range
-from hybrid.camera_files import CameraFile, camera_dict, quality_dict, write_camera
+from hybrid.camera_files import CameraFile, quality_dict, write_camera
 from hybrid.commands import options
-from hybrid.commands.checks import make_folder, misuse, pictures, refuse_existing, usage_error
-from hybrid.commands.reports import FAILURE, ITEM_ERRORS, Report, failure, progress, tell
+from hybrid.commands.checks import (
+    check_camera_name,
+    make_folder,
+    misuse,
+    pictures,
+    refuse_existing,
+    usage_error,
+)
+from hybrid.commands.reports import FAILURE, ITEM_ERRORS, Report, failure, nearness, progress, tell
 from hybrid.config import RectifyConfig
 from hybrid.images import read_picture
 from hybrid.pipeline import Rectifier
@@ -29,30 +38,36 @@ from hybrid.result import Calibration
     type=options.NEW_FILE,
     help="The camera file to write, e.g. camera.json.",
 )
+@options.kind
 @options.method
+@options.frame
 @options.overwrite
 @options.as_json("the result as one JSON object")
 @options.threads
 def calibrate(
-    paths: tuple[Path, ...], out: Path, overwrite: bool, as_json: bool, **chosen: Any
+    paths: tuple[Path, ...], out: Path, kind: str, overwrite: bool, as_json: bool, **chosen: Any
 ) -> int:
     """Find the one lens that took all the pictures, in one joint fit.
 
-    A file that cannot be read is reported and left out; the exit code is then 1.
+    A file that cannot be read is reported and left out; the exit code is then 1. --fov, --focal,
+    --balance and --size choose the straight picture of an ST-map.
     """
     with misuse():
         config = RectifyConfig(**chosen)
     sources = pictures(paths)
     refuse_existing([out], overwrite=overwrite)
+    check_camera_name(out, kind)
     unread, images = _read_all(sources)
     if not images:
         raise click.ClickException("none of the pictures could be read")
     _check_one_size(images)
     found = Rectifier(config).calibrate(list(images.values()))
+    residual = None
     if found.camera is not None:
         make_folder(out.parent)
-        write_camera(out, CameraFile(found.camera, found.status, found.reason, found.quality))
-    _tell(found, out, len(images), unread if as_json else None)
+        content = CameraFile(found.camera, found.status, found.reason, found.quality)
+        residual = write_camera(out, content, kind, frame=config)
+    _tell(found, out, residual, len(images), unread if as_json else None)
     return FAILURE if unread or found.camera is None else 0
 
 
@@ -77,7 +92,13 @@ def _check_one_size(images: dict[Path, np.ndarray]) -> None:
         raise usage_error(f"pictures of one lens have one size, but {' and '.join(told)}")
 
 
-def _tell(found: Calibration, out: Path, n_images: int, unread: list[Report] | None) -> None:
+def _tell(
+    found: Calibration,
+    out: Path,
+    residual: Residual | None,
+    n_images: int,
+    unread: list[Report] | None,
+) -> None:
     """The result: JSON if the list of unread files is given, else in words."""
     failed = found.camera is None
     if unread is not None:
@@ -87,7 +108,8 @@ def _tell(found: Calibration, out: Path, n_images: int, unread: list[Report] | N
             "n_images": n_images,
             "unread": unread,
             "camera_file": None if failed else str(out),
-            "camera": None if found.camera is None else camera_dict(found.camera),
+            "residual": None if residual is None else residual._asdict(),
+            "camera": None if found.camera is None else lens_fields(found.camera),
             "quality": quality_dict(found.quality),
         }
         click.echo(json.dumps(report, allow_nan=False))
@@ -95,4 +117,5 @@ def _tell(found: Calibration, out: Path, n_images: int, unread: list[Report] | N
         click.echo(f"straightlens: no lens found: {found.reason}", err=True)
     elif unread is None:
         noun = "picture" if n_images == 1 else "pictures"
-        click.echo(f"{n_images} {noun} -> {out}  {found.status}: {found.reason}")
+        words = f"{found.status}: {found.reason}{nearness(residual)}"
+        click.echo(f"{n_images} {noun} -> {out}  {words}")

@@ -8,6 +8,8 @@ from pathlib import Path
 
 import click
 
+from classical.warp import is_stmap_name
+from hybrid.camera_files import format_suffix
 from hybrid.images import is_picture_name
 
 
@@ -53,6 +55,16 @@ def refuse_existing(outputs: Sequence[Path], *, overwrite: bool) -> None:
     if existing:
         more = f" and {len(existing) - 1} more" if len(existing) > 1 else ""
         raise usage_error(f"{existing[0]}{more} exists; use --overwrite to replace")
+
+
+def check_camera_name(path: Path, kind: str) -> None:
+    """Misuse if a file of that name cannot be of that format: ST-maps go by their suffix."""
+    is_map = format_suffix(kind) == ".tif"
+    if is_map != is_stmap_name(path):
+        ending = (
+            "ends in .tif or .exr" if is_map else f"is text, such as camera{format_suffix(kind)}"
+        )
+        raise usage_error(f"a file of the format {kind} {ending}, got {path.name}")
 
 
 def make_folder(folder: Path) -> None:

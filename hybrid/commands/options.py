@@ -8,6 +8,7 @@ from typing import Any, TypeVar
 
 import click
 
+from hybrid.camera_files import OWN_FORMAT, format_names
 from hybrid.methods import DEFAULT_METHOD, method_names
 
 Command = TypeVar("Command", bound=Callable[..., Any])
@@ -47,6 +48,17 @@ method = click.option(
 )
 camera = click.option(
     "--camera", type=EXISTING_FILE, help="Use this camera file instead of estimating the lens."
+)
+camera_name = click.option(
+    "--camera-name", help="Which camera of --camera, if it holds several (cam0 of Kalibr)."
+)
+kind = click.option(
+    "--format",
+    "kind",
+    type=click.Choice(format_names()),
+    default=OWN_FORMAT,
+    show_default=True,
+    help="Of the camera file.",
 )
 overwrite = click.option("--overwrite", is_flag=True, help="Replace files that exist.")
 threads = click.option("--threads", type=int, help="CPU threads to use.")

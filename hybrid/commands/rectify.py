@@ -10,9 +10,15 @@ from typing import Any
 
 import click
 
-from classical.camera import KannalaBrandt
+from classical.camera.formats import lens_fields
 from hybrid.arrays import unit_range
-from hybrid.camera_files import CameraFile, camera_dict, quality_dict, read_camera, write_camera
+from hybrid.camera_files import (
+    CameraFile,
+    format_suffix,
+    quality_dict,
+    read_camera,
+    write_camera,
+)
 from hybrid.commands import options
 from hybrid.commands.checks import (
     make_folder,
@@ -22,12 +28,11 @@ from hybrid.commands.checks import (
     refuse_inputs,
     usage_error,
 )
-from hybrid.commands.reports import FAILURE, ITEM_ERRORS, Report, failure, progress, tell
+from hybrid.commands.reports import FAILURE, ITEM_ERRORS, Report, failure, nearness, progress, tell
 from hybrid.config import RectifyConfig
 from hybrid.images import Picture, is_picture_name, read_picture, write_picture
 from hybrid.overlay import draw_curves
 from hybrid.pipeline import Rectifier
-from hybrid.result import Rectification
 
 
 @click.command()
@@ -40,6 +45,8 @@ from hybrid.result import Rectification
 )
 @options.method
 @options.camera
+@options.camera_name
+@options.kind
 @options.frame
 @click.option("--overlay", is_flag=True, help="Also write NAME.overlay.png with the curves.")
 @options.overwrite
@@ -49,6 +56,8 @@ def rectify(
     paths: tuple[Path, ...],
     out: Path,
     camera: Path | None,
+    camera_name: str | None,
+    kind: str,
     overlay: bool,
     overwrite: bool,
     as_json: bool,
@@ -62,14 +71,16 @@ def rectify(
     """
     with misuse():
         config = RectifyConfig(**chosen)
-        jobs = _jobs(pictures(paths), out, overlay, overwrite)
-        known = None if camera is None else read_camera(camera)
+        known = None if camera is None else read_camera(camera, camera_name)
+    sources = pictures(paths)
+    jobs = [_job(source, out, kind, overlay) for source in sources]
+    _refuse_losses(jobs, overwrite)
     make_folder(out)
     rectifier = Rectifier(config)
     failed = False
     for job in progress(jobs):
         try:
-            report = _rectify_one(job, rectifier, known)
+            report = _rectify_one(job, rectifier, known, kind)
         except ITEM_ERRORS as error:
             report = failure(job.source, error)
         failed |= report["status"] == "failed"
@@ -91,25 +102,23 @@ class _Job:
         return [path for path in files if path is not None]
 
 
-def _jobs(sources: Sequence[Path], out: Path, overlay: bool, overwrite: bool) -> list[_Job]:
-    """The jobs, refused as a whole where files would be lost."""
-    jobs = [_job(source, out, overlay) for source in sources]
+def _refuse_losses(jobs: Sequence[_Job], overwrite: bool) -> None:
+    """Misuse of all jobs where files would be lost."""
     outputs = [path for job in jobs for path in job.outputs()]
     doubles = [path for path, number in Counter(outputs).items() if number > 1]
     if doubles:
         raise usage_error(f"two inputs would both write {doubles[0]}")
-    refuse_inputs(outputs, sources)
+    refuse_inputs(outputs, [job.source for job in jobs])
     refuse_existing(outputs, overwrite=overwrite)
-    return jobs
 
 
-def _job(source: Path, out: Path, overlay: bool) -> _Job:
+def _job(source: Path, out: Path, kind: str, overlay: bool) -> _Job:
     name = source.name if is_picture_name(source) else f"{source.name}.png"
     drawn = out / f"{source.stem}.overlay.png" if overlay else None
-    return _Job(source, out / name, out / f"{source.stem}.camera.json", drawn)
+    return _Job(source, out / name, out / f"{source.stem}.camera{format_suffix(kind)}", drawn)
 
 
-def _rectify_one(job: _Job, rectifier: Rectifier, known: CameraFile | None) -> Report:
+def _rectify_one(job: _Job, rectifier: Rectifier, known: CameraFile | None, kind: str) -> Report:
     """Read, rectify and write one picture."""
     picture = read_picture(job.source)
     camera = None if known is None else known.camera
@@ -124,15 +133,10 @@ def _rectify_one(job: _Job, rectifier: Rectifier, known: CameraFile | None) -> R
         write_picture(job.overlay, Picture(draw_curves(picture.pixels, result.curves)))
         report["overlay"] = str(job.overlay)
     if result.camera is not None:
-        _write_camera_of(job, result, known, result.camera)
-        report |= {"camera_file": str(job.camera), "camera": camera_dict(result.camera)}
+        content = CameraFile(result.camera, result.status, result.reason, result.quality)
+        if known is not None:
+            content = replace(known, camera=result.camera)
+        residual = write_camera(job.camera, content, kind, frame=rectifier.config)
+        report["reason"] += nearness(residual)
+        report |= {"camera_file": str(job.camera), "camera": lens_fields(result.camera)}
     return report | {"quality": quality_dict(result.quality)}
-
-
-def _write_camera_of(
-    job: _Job, result: Rectification, known: CameraFile | None, camera: KannalaBrandt
-) -> None:
-    content = CameraFile(camera, result.status, result.reason, result.quality)
-    if known is not None:
-        content = replace(known, camera=camera)
-    write_camera(job.camera, content)

@@ -10,6 +10,8 @@ from typing import Any, TypeVar
 
 from tqdm import tqdm
 
+from classical.camera import Residual
+
 T = TypeVar("T")
 Report = dict[str, Any]
 FAILURE = 1  # exit code when an item failed
@@ -29,6 +31,14 @@ def failure(source: Path, error: Exception) -> Report:
 def progress(items: Sequence[T]) -> Iterator[T]:
     """The items behind a bar on stderr, if there are many and someone looks."""
     return iter(tqdm(items, file=sys.stderr, disable=len(items) < 2 or not sys.stderr.isatty()))
+
+
+def nearness(residual: Residual | None) -> str:
+    """How near a written camera model comes to the lens, in words; empty where it is the same."""
+    if residual is None:
+        return ""
+    rms, most = residual
+    return f"; the written model is off by {rms:.3g} px rms, {most:.3g} px at most"
 
 
 def tell(report: Report, *, as_json: bool) -> None:
