@@ -51,7 +51,7 @@ class Rectifier:
         if len(sizes) > 1:
             first, second = ("x".join(map(str, size)) for size in sizes[:2])
             raise ValueError(f"Expected pictures of one size, got {first} and {second}.")
-        with _threads(self.config.threads):
+        with opencv_threads(self.config.threads):
             return self._estimator([to_rgb8(image) for image in images])
 
     def rectify(
@@ -80,12 +80,12 @@ class Rectifier:
         """
         check_image(image)
         if camera is None:
-            with _threads(self.config.threads):
+            with opencv_threads(self.config.threads):
                 found = self._estimator([to_rgb8(image)])
         else:
             camera = fitted_camera(camera, image.shape[1], image.shape[0])
             found = Calibration(camera, ((),), Quality(), "ok", "the camera was given")
-        with _threads(self.config.threads):
+        with opencv_threads(self.config.threads):
             result = _warped(image, found, self.config)
         if throw and result.status == "failed":
             raise RectificationError(result.reason)
@@ -190,7 +190,7 @@ def straight_target(camera: KannalaBrandt, config: RectifyConfig) -> Pinhole:
 
 
 @contextmanager
-def _threads(number: int | None) -> Iterator[None]:
+def opencv_threads(number: int | None) -> Iterator[None]:
     """Let OpenCV use so many threads inside the block."""
     if number is None:
         yield
