@@ -60,7 +60,8 @@ def main() -> None:
         print(compare(colour, fov, balance, options.rounds))
     print(compare(np.ascontiguousarray(colour[..., 0]), 120, 0.0, options.rounds))
     print(compare(colour.astype(np.uint16) * 257, 120, 0.0, options.rounds))
-    print(compare(colour.astype(np.float32) / 255, 120, 0.0, options.rounds))
+    for balance in (0.0, 0.5, 1.0):
+        print(compare(colour.astype(np.float32) / 255, 120, balance, options.rounds))
 
 
 if __name__ == "__main__":

@@ -83,14 +83,8 @@ class WarpMaps:
 
     @cached_property
     def lookup(self) -> tuple[Float32[np.ndarray, "height width"], ...]:
-        """The coordinates (u, v) in the source after `smoothing`, which may have reduced it."""
-        width, height = self.smoothing.width, self.smoothing.height
-        if (width, height) == (self.source_width, self.source_height):
-            return self.u, self.v
-        return (
-            _reduced(self.u, self.valid, width / self.source_width, width - 1),
-            _reduced(self.v, self.valid, height / self.source_height, height - 1),
-        )
+        """The coordinates (u, v) on the sheet that `smoothing` draws of the source."""
+        return self.smoothing.moved(self.u, self.v, self.valid)
 
 
 def undistort_maps(camera: AnyCamera, target: Pinhole) -> WarpMaps:
@@ -181,12 +175,6 @@ def _bounded(u: np.ndarray, v: np.ndarray, seen: np.ndarray, width: int, height:
         np.clip(values, 0, last, out=values)
         values[~valid] = OUTSIDE
     return WarpMaps(u, v, valid, width, height)
-
-
-def _reduced(values: np.ndarray, valid: np.ndarray, factor: float, last: int) -> np.ndarray:
-    """Coordinates in a picture that was reduced with its outer edges in place."""
-    moved = np.clip((values + np.float32(0.5)) * np.float32(factor) - np.float32(0.5), 0, last)
-    return np.where(valid, moved, np.float32(OUTSIDE))
 
 
 def _local_scale(u: np.ndarray, v: np.ndarray, valid: np.ndarray) -> np.ndarray:

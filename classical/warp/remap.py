@@ -50,8 +50,8 @@ def remap(
         return np.zeros(new_shape, image.dtype)
     u, v = maps.u, maps.v
     if antialias and interpolation != "nearest":
-        smoothing = maps.smoothing
-        image = smoothing.apply(image)
+        sheet = maps.smoothing.sheet
+        image = image if sheet is None else sheet.draw(image)
         u, v = maps.lookup
     channels = image.reshape(*image.shape[:2], -1)
     if channels.shape[2] <= _MAX_CHANNELS:

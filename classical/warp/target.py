@@ -139,10 +139,12 @@ def _border(camera: AnyCamera, cap: float) -> Float[np.ndarray, "n 2"]:
 
 
 def _grid(camera: AnyCamera) -> Float[np.ndarray, "n 2"]:
-    """Pixels spread over the picture, the middle one among them."""
+    """Pixels spread over the picture, its middle and the principal point among them."""
     u = np.linspace(0, camera.width - 1, _CENTRE_GRID + 2)[1:-1]
     v = np.linspace(0, camera.height - 1, _CENTRE_GRID + 2)[1:-1]
-    return np.stack([axis.ravel() for axis in np.meshgrid(u, v)], axis=1)
+    grid = np.stack([axis.ravel() for axis in np.meshgrid(u, v)], axis=1)
+    axis = np.clip([camera.u0, camera.v0], 0, [camera.width - 1, camera.height - 1])
+    return np.vstack([grid, axis])  # a lens that turns back early sees little around its axis
 
 
 def _plane(camera: AnyCamera, points: np.ndarray, cap: float) -> tuple[np.ndarray, np.ndarray]:
