@@ -17,6 +17,7 @@ from jaxtyping import Shaped
 from PIL import ExifTags, Image, TiffImagePlugin, UnidentifiedImageError
 
 from classical.files import atomic_path
+from hybrid.tiff_exif import append_exif, described, extra_tags
 
 MAX_PIXELS = 178_956_970  # half a gigabyte of RGB; Pillow's own limit against bombs
 _TIFF = (".tif", ".tiff")
@@ -130,15 +131,7 @@ def write_picture(path: str | os.PathLike[str], picture: Picture) -> None:
         elif suffix == ".png":
             _write_deep_png(temporary, picture)
         else:
-            photometric = "rgb" if pixels.ndim == 3 else "minisblack"
-            tifffile.imwrite(
-                temporary,
-                picture.pixels,
-                photometric=photometric,
-                compression="zlib",
-                iccprofile=picture.icc,
-                extrasamples=["unassalpha"] if pixels.shape[2:] == (4,) else None,
-            )
+            _write_deep_tiff(temporary, picture)
 
 
 def _check_size(width: int, height: int, max_pixels: int) -> None:
@@ -154,7 +147,11 @@ def _read_tiff_alone(path: Path, max_pixels: int) -> Picture:
         page = file.pages.first
         _check_size(page.imagewidth, page.imagelength, max_pixels)
         icc = page.iccprofile
-    return Picture(_deep_tiff(path), icc)
+    with path.open("rb") as stream:
+        exif = Image.Exif()
+        exif.load_from_fp(stream)
+        kept = described(exif)
+    return Picture(_deep_tiff(path), icc, kept)
 
 
 def _read_open(path: Path, image: Image.Image) -> Picture:
@@ -167,7 +164,7 @@ def _read_open(path: Path, image: Image.Image) -> Picture:
         icc = None  # of the inks, not of the RGB that they became
     swap, flips = _ORIENTATIONS.get(orientation, (False, ()))
     pixels = np.flip(pixels.swapaxes(0, 1) if swap else pixels, flips)
-    kept = exif.tobytes() if len(exif) and image.format != "TIFF" else None
+    kept = described(exif) if image.format == "TIFF" else exif.tobytes() if len(exif) else None
     return Picture(np.ascontiguousarray(pixels), icc, kept)
 
 
@@ -249,6 +246,25 @@ def _write_deep_png(path: Path, picture: Picture) -> None:
     if picture.exif is not None:
         chunks += _png_chunk(b"eXIf", picture.exif.removeprefix(b"Exif\0\0"))
     path.write_bytes(data[:header] + chunks + data[header:])
+
+
+def _write_deep_tiff(path: Path, picture: Picture) -> None:
+    """More than 8 bits a channel, which Pillow cannot write in colour."""
+    pixels = picture.pixels
+    tifffile.imwrite(
+        path,
+        pixels,
+        photometric="rgb" if pixels.ndim == 3 else "minisblack",
+        compression="zlib",
+        iccprofile=picture.icc,
+        extrasamples=["unassalpha"] if pixels.shape[2:] == (4,) else None,
+        software=False,
+        metadata=None,  # its own description would take the photograph's place
+        byteorder="<",
+        extratags=extra_tags(picture.exif) if picture.exif is not None else (),
+    )
+    if picture.exif is not None:
+        append_exif(path, picture.exif)
 
 
 def _png_chunk(name: bytes, body: bytes) -> bytes:

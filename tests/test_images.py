@@ -20,6 +20,8 @@ def exif_bytes(orientation: int = 1) -> bytes:
     exif = Image.Exif()
     exif[ExifTags.Base.Orientation] = orientation
     exif[ExifTags.Base.Make] = "Maker"
+    exif.get_ifd(ExifTags.IFD.Exif)[ExifTags.Base.FocalLength] = 2.75
+    exif.get_ifd(ExifTags.IFD.GPSInfo)[ExifTags.GPS.GPSLatitudeRef] = "N"
     return exif.tobytes()
 
 
@@ -69,18 +71,41 @@ def test_colour_profile_is_kept(tmp_path, suffix, dtype):
 
 
 @pytest.mark.parametrize(
-    ("suffix", "dtype"), [(".jpg", "uint8"), (".png", "uint8"), (".webp", "uint8"),
-                          (".png", "uint16")]
+    ("suffix", "dtype"),
+    [(".jpg", "uint8"), (".png", "uint8"), (".webp", "uint8"), (".tif", "uint8"),
+     (".png", "uint16"), (".tif", "uint16"), (".tiff", "float32")],
 )  # fmt: skip
 def test_exif_is_kept_without_its_orientation(tmp_path, suffix, dtype):
     Image.fromarray(noise((8, 9, 3), "uint8")).save(tmp_path / "in.jpg", exif=exif_bytes(6))
     picture = read_picture(tmp_path / "in.jpg")
     path = tmp_path / f"out{suffix}"
     write_picture(path, Picture(noise((8, 9, 3), dtype), exif=picture.exif))
-    with Image.open(path) as image:
-        exif = image.getexif()
+    kept = read_picture(path).exif
+    assert kept is not None
+    exif = Image.Exif()
+    exif.load(kept)
     assert exif[ExifTags.Base.Make] == "Maker"
     assert exif.get(ExifTags.Base.Orientation, 1) == 1
+    assert float(exif.get_ifd(ExifTags.IFD.Exif)[ExifTags.Base.FocalLength]) == 2.75
+    assert exif.get_ifd(ExifTags.IFD.GPSInfo)[ExifTags.GPS.GPSLatitudeRef] == "N"
+
+
+def test_exif_of_a_tiff_goes_into_a_jpeg(tmp_path):
+    """Tags that describe the TIFF itself, such as its strips, do not come along."""
+    pixels = noise((8, 9, 3), "uint8")
+    Image.fromarray(pixels).save(tmp_path / "in.tif", exif=exif_bytes())
+    picture = read_picture(tmp_path / "in.tif")
+    write_picture(tmp_path / "out.jpg", picture)
+    with Image.open(tmp_path / "out.jpg") as image:
+        exif = image.getexif()
+    assert exif[ExifTags.Base.Make] == "Maker"
+    assert float(exif.get_ifd(ExifTags.IFD.Exif)[ExifTags.Base.FocalLength]) == 2.75
+    assert ExifTags.Base.StripOffsets not in exif
+
+
+def test_a_tiff_without_exif_has_none(tmp_path):
+    write_picture(tmp_path / "a.tif", Picture(noise((8, 9, 3), "uint16")))
+    assert read_picture(tmp_path / "a.tif").exif is None
 
 
 @pytest.mark.parametrize("orientation", range(1, 9))
