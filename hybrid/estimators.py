@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from jaxtyping import UInt8
 from numpy import ndarray
 
-from classical.fit import LensFit, fit_lens
+from classical.fit import FitConfig, LensFit, VanishingConfig, fit_lens
 from classical.lines import curves_from_image
 from hybrid.config import RectifyConfig
 from hybrid.result import Calibration, Quality
@@ -38,7 +38,9 @@ class ClassicalEstimator:
         if min(height, width) < _MIN_SIDE:
             reason = f"a picture of {width}x{height} pixels is too small to show lines"
             return Calibration(None, tuple(() for _ in pictures), Quality(), "failed", reason)
-        fit = fit_lens([curves_from_image(picture) for picture in pictures], width, height)
+        curves = [curves_from_image(picture) for picture in pictures]
+        settings = FitConfig(vanishing=VanishingConfig(seed=self._config.seed))
+        fit = fit_lens(curves, width, height, config=settings)
         return estimate_from_fit(fit)
 
 

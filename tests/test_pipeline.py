@@ -353,3 +353,18 @@ def test_figure_of_any_picture(shape):
         assert figure.dtype == np.uint8
         assert figure.shape[0] > 200
         assert figure.shape[2] == 3
+
+
+def test_seed_reaches_the_random_frames_of_the_fit(monkeypatch):
+    from hybrid import estimators
+
+    seeds = []
+
+    def fit(*_arguments, config):
+        seeds.append(config.vanishing.seed)
+        raise RuntimeError("seen")
+
+    monkeypatch.setattr(estimators, "fit_lens", fit)
+    with pytest.raises(RuntimeError, match="seen"):
+        estimators.ClassicalEstimator(RectifyConfig(seed=7))([np.zeros((64, 64, 3), np.uint8)])
+    assert seeds == [7]

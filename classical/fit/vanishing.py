@@ -32,6 +32,7 @@ class VanishingConfig:
         tolerance: Angle between a line and its direction beyond which it does not vote, radians.
         most_lines: Longest lines that vote.
         fewest_lines: Lines that the frame needs, and a third of it for its second direction.
+        seed: Of the random frames.
     """
 
     scales: tuple[float, float] = (0.6, 1.7)
@@ -39,6 +40,7 @@ class VanishingConfig:
     tolerance: float = 0.03
     most_lines: int = 80
     fewest_lines: int = 12
+    seed: int = 0
 
 
 @dataclass(frozen=True)
