@@ -8,7 +8,7 @@ from jaxtyping import UInt8
 from numpy import ndarray
 
 from classical.fit import FitConfig, LensFit, VanishingConfig, fit_lens
-from classical.lines import curves_from_image
+from classical.lines import curves_from_image, find_image_circle
 from hybrid.config import RectifyConfig
 from hybrid.result import Calibration, Quality
 

@@ -5,7 +5,7 @@ import pytest
 
 from classical.camera import KannalaBrandt
 from classical.camera.ray_field import ray_field
-from classical.fit import FitConfig, LensPrior, fit_lens, generic_prior
+from classical.fit import FitConfig, LensPrior, fit_lens, generic_prior, of_belief
 from classical.fit.prior import generic_surprise
 from classical.fit.quality import predicted_error
 from classical.fit.samples import CurveSamples, sample_curves
@@ -170,10 +170,11 @@ def test_prior_fixes_what_lines_cannot_see() -> None:
     rng = np.random.default_rng(6)
     curves = line_pictures(LENS, 60, rng, noise=0.2)
     deviation = np.array([0.005, 0.02, 0.02, 0.01, 0.005, 1.0, 2.0, 8.0, 8.0])
-    prior = LensPrior(LENS.to_vector(), np.diag(deviation**2))
-    fit = fit_lens([curves], WIDTH, HEIGHT, prior=prior)
+    belief = of_belief(LensPrior(LENS.to_vector(), np.diag(deviation**2)), "network")
+    fit = fit_lens([curves], WIDTH, HEIGHT, observations=[belief])
     assert fit.camera is not None
     assert fit.camera.k[0] == pytest.approx(LENS.k[0], rel=0.01)
+    assert fit.scale_source == "network"
 
 
 def test_prior_coordinates_round_trip() -> None:

@@ -24,8 +24,9 @@ FREE = np.array([0, 1, 2, 3, 4, 6, 7, 8])  # of (k1..k5, m_u, m_v, u0, v0)
 # θ, 2 sin(θ/2), sin θ: +0.083, 0, −0.042, −0.167); the last two keep r(θ) tame past 90°.
 _RATIO_MEAN = np.array([0.02, -0.005, 0.0, 0.0])
 _RATIO_DEVIATION = np.array([0.10, 0.04, 0.012, 0.002])
-_LOG_STRENGTH_DEVIATION = 0.5  # of k1: fields of view from 60° to over 200°
-_ASPECT_DEVIATION = 0.004  # square pixels, but for resampled pictures
+LOG_STRENGTH_DEVIATION = 0.5  # of k1: fields of view from 60° to over 200°
+_ASPECT_DEVIATION = 0.004  # square pixels …
+_FREE_ASPECT_DEVIATION = 0.06  # … but for resampled pictures
 _CENTRE_DEVIATION = 0.035  # principal point, half picture widths
 
 
@@ -101,7 +102,9 @@ def fused(beliefs: Sequence[LensPrior], *, most: float = 2.0) -> LensPrior:
     return LensPrior(mean, covariance)
 
 
-def generic_prior(strength: float, width: int, height: int) -> LensPrior:
+def generic_prior(
+    strength: float, width: int, height: int, *, has_free_aspect: bool = False
+) -> LensPrior:
     """What holds for lenses in general, near a given strength.
 
     The coefficients scale with k1, so the Gaussian is taken at k1 = `strength`; k1 itself stays
@@ -112,8 +115,10 @@ def generic_prior(strength: float, width: int, height: int) -> LensPrior:
         strength: k1 in half picture widths.
         width: Picture width in pixels.
         height: Picture height in pixels.
+        has_free_aspect: Whether the pixels are known not to be square.
     """
     half = width / 2
+    aspect = _FREE_ASPECT_DEVIATION if has_free_aspect else _ASPECT_DEVIATION
     mean = np.array(
         [
             strength,
@@ -125,11 +130,10 @@ def generic_prior(strength: float, width: int, height: int) -> LensPrior:
         ]
     )
     deviation = np.array(
-        [0.0, *(strength * _RATIO_DEVIATION), 1.0, half * _ASPECT_DEVIATION]
-        + [half * _CENTRE_DEVIATION] * 2
+        [0.0, *(strength * _RATIO_DEVIATION), 1.0, half * aspect] + [half * _CENTRE_DEVIATION] * 2
     )
     along_strength = np.zeros(9)
-    along_strength[:5] = mean[:5] * _LOG_STRENGTH_DEVIATION
+    along_strength[:5] = mean[:5] * LOG_STRENGTH_DEVIATION
     covariance = np.diag(deviation**2) + np.outer(along_strength, along_strength)
     return LensPrior(mean, covariance)
 

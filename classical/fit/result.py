@@ -11,7 +11,6 @@ from jaxtyping import Float
 from classical.camera import KannalaBrandt
 
 Status = Literal["ok", "degraded", "failed"]
-ScaleSource = Literal["prior", "vanishing points"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,7 +44,8 @@ class LensFit:
         predicted_error_px: Expected error of rectified positions after the best similarity, in
             pixels of a 320 pixel wide frame with f = 160 px, over angles up to 60°; NaN without a
             camera.
-        scale_source: What fixed the absolute scale, which straightness leaves open.
+        scale_source: What fixed the absolute scale, which straightness leaves open: "prior",
+            "vanishing points", or the source of an observation.
         scale_deviation: Standard deviation of the logarithm of the focal length, NaN without a
             camera.
     """
@@ -57,7 +57,7 @@ class LensFit:
     curves: tuple[tuple[FittedCurve, ...], ...]
     rms_px: float
     predicted_error_px: float
-    scale_source: ScaleSource = "prior"
+    scale_source: str = "prior"
     scale_deviation: float = float("nan")
 
     @property

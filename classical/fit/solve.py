@@ -38,14 +38,14 @@ class SolverConfig:
 
     Attributes:
         loss_scale: Residuals beyond this many standard deviations lose weight (Cauchy).
-        redundancy: So many residuals tell as much as one independent one: neighbouring samples
-            of a line share their errors, so the data must not count each of them against the prior.
+        redundancy: So many residuals tell as much as one independent one: edges of one thing
+            share their errors, so the data must not count each of them against the prior.
         tolerance: Relative change of cost, parameters and gradient at which to stop.
         max_steps: Most evaluations.
     """
 
     loss_scale: float = 2.0
-    redundancy: float = 64.0
+    redundancy: float = 4.0
     tolerance: float = 1e-4
     max_steps: int = 30
 

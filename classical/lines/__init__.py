@@ -1,6 +1,8 @@
 """From a picture or a heatmap to curves that may be images of straight lines."""
 
 from classical.lines.curve import Curve as Curve
+from classical.lines.image_circle import ImageCircle as ImageCircle
+from classical.lines.image_circle import find_image_circle as find_image_circle
 from classical.lines.joining import JoinConfig as JoinConfig
 from classical.lines.joining import join_curves as join_curves
 from classical.lines.vectorise import HeatmapCurvesConfig as HeatmapCurvesConfig

@@ -1,0 +1,145 @@
+"""Rounds of the fit: solve, look again at which curves are straight, solve again."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+from scipy.sparse import csc_array
+
+from classical.camera import KannalaBrandt
+from classical.fit.bends import BendConfig, Bends
+from classical.fit.observations import Observation, observed
+from classical.fit.prior import LensPrior, generic_prior
+from classical.fit.samples import CurveSamples
+from classical.fit.solve import SolverConfig, solve
+from classical.fit.straightness import Straightness, straightness
+
+REFERENCE_WIDTH = 1280  # tolerances are pixels of a picture this wide
+
+
+@dataclass(frozen=True, eq=False)
+class Known:
+    """What is known beside the curves.
+
+    Attributes:
+        observations: Of the lens.
+        has_free_aspect: Whether the pixels are clearly not square.
+    """
+
+    observations: Sequence[Observation] = ()
+    has_free_aspect: bool = False
+
+    def belief(self, camera: KannalaBrandt) -> LensPrior:
+        """The prior near a camera, sharpened by all that was observed."""
+        prior = generic_prior(
+            float(camera.k[0]),
+            camera.width,
+            camera.height,
+            has_free_aspect=self.has_free_aspect,
+        )
+        for observation in self.observations:
+            prior = observed(prior, observation.near(camera))
+        return prior
+
+    def surprise(self, camera: KannalaBrandt) -> float:
+        """Squared distance of a camera from all that was observed."""
+        return float(sum(observation.surprise(camera) for observation in self.observations))
+
+
+@dataclass(frozen=True, eq=False)
+class Settled:
+    """A lens that the rounds settled on, and its covariance (9, 9)."""
+
+    camera: KannalaBrandt
+    covariance: Float[np.ndarray, "9 9"]
+
+
+def settle(
+    samples: CurveSamples,
+    camera: KannalaBrandt,
+    known: Known,
+    *,
+    tolerances: Sequence[float],
+    bend: BendConfig,
+    solver: SolverConfig,
+    covariance_redundancy: float,
+) -> Settled:
+    """Solve in rounds; each re-weights curves by how straight the last lens made them.
+
+    Args:
+        samples: Points of the curves.
+        camera: Where to start.
+        known: What is known beside them.
+        tolerances: RMS residual at which a curve has lost most of its weight, one per round,
+            pixels of a picture 1280 wide.
+        bend: How far straight lines look bent.
+        solver: The local solver.
+        covariance_redundancy: As `SolverConfig.redundancy`, for the covariance.
+    """
+    bends = Bends.of(samples, camera.width, bend)
+    belief = known.belief(camera)
+    information = np.eye(8)
+    for tolerance in tolerances:
+        belief = known.belief(camera)
+        now = straightness(camera, samples)
+        shares = curve_shares(samples, now.residuals, tolerance * bends.scale)
+        deviation = bends.deviation(now.residuals, shares)
+        problem = _Problem(
+            samples,
+            belief,
+            bends.operator(deviation, shares),
+            np.sqrt(shares) / (deviation * bends.scale * samples.counts),
+            camera,
+        )
+        solution = solve(problem.residuals, problem.jacobian, belief.encode(camera), config=solver)
+        camera = belief.decode(solution.value, camera.width, camera.height)
+        information = solution.information
+    data = (information - np.eye(8)) * solver.redundancy / covariance_redundancy
+    spread = np.linalg.inv(data + np.eye(8))
+    return Settled(camera, belief.factor @ spread @ belief.factor.T)
+
+
+def curve_shares(
+    samples: CurveSamples, residuals: Float[np.ndarray, " n"], tolerance: float
+) -> Float[np.ndarray, " curves"]:
+    """Geman–McClure weights of whole curves, for a bent thing is no line anywhere along it."""
+    return 1 / (1 + (samples.curve_rms(residuals) / tolerance) ** 2) ** 2
+
+
+@dataclass(frozen=True, eq=False)
+class _Problem:
+    """Bends of the curves in standard deviations as functions of the prior's coordinates."""
+
+    samples: CurveSamples
+    prior: LensPrior
+    operator: csc_array
+    outside: np.ndarray  # weight of each curve's samples out of the lens's reach
+    frame: KannalaBrandt  # only its size is used
+    last: dict[str, Any] = field(default_factory=dict)
+
+    def _at(self, z: np.ndarray) -> Straightness:
+        """The solver asks for the Jacobian where it has just asked for the residuals."""
+        if self.last.get("z") != z.tobytes():
+            camera = self.prior.decode(z, self.frame.width, self.frame.height)
+            self.last.update(z=z.tobytes(), result=straightness(camera, self.samples))
+        return self.last["result"]
+
+    def residuals(self, z: np.ndarray) -> np.ndarray:
+        now = self._at(z)
+        return np.concatenate([self.operator @ now.residuals, self._beyond(now, now.residuals)])
+
+    def jacobian(self, z: np.ndarray) -> np.ndarray:
+        now = self._at(z)
+        J = now.jacobian
+        return np.concatenate([self.operator @ J, self._beyond(now, J)]) @ self.prior.factor
+
+    def _beyond(self, now: Straightness, values: np.ndarray) -> np.ndarray:
+        """Means over the samples out of reach, which a bend does not see if all of them are."""
+        if now.reached.all():
+            return np.zeros((self.samples.n_curves, *values.shape[1:]))
+        weights = np.where(now.reached, 0.0, self.outside[self.samples.owner])
+        return self.samples.curve_sums((values.T * weights).T)

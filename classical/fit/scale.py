@@ -1,0 +1,107 @@
+"""The one thing that straight lines leave open: the scale of the rectified plane, and who fixes it.
+
+(tan θ)' = s tan θ maps straight lines to straight lines, so a fit knows its lens up to s. All here
+happens along that one direction, ∂camera/∂log s.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from classical.camera import KannalaBrandt
+from classical.fit.prior import FREE, LOG_STRENGTH_DEVIATION
+from classical.fit.rounds import Known, Settled
+from classical.fit.samples import CurveSamples
+from classical.fit.straightness import straightness
+from classical.fit.vanishing import (
+    ScaleEstimate,
+    VanishingConfig,
+    rescaled,
+    scale_from_directions,
+)
+
+_STEP = 0.02
+_END_DEVIATION = 0.2  # of the ends of a line across it, pixels of a picture 1280 wide
+
+
+class FusedScale(NamedTuple):
+    """A camera with its scale corrected, its covariance, and the weight of the correction."""
+
+    camera: KannalaBrandt
+    covariance: Float[np.ndarray, "9 9"]
+    gain: float
+
+
+def scale_tangent(camera: KannalaBrandt) -> Float[np.ndarray, " 9"]:
+    """∂camera/∂log s of (tan θ)' = s tan θ, by central differences."""
+    ahead, behind = (rescaled(camera, float(np.exp(sign * _STEP))) for sign in (1, -1))
+    return (ahead.to_vector() - behind.to_vector()) / (2 * _STEP)
+
+
+def scale_variance(tangent: Float[np.ndarray, " 9"], covariance: Float[np.ndarray, "9 9"]) -> float:
+    """Variance of log s with everything else as the fit found it."""
+    free = covariance[np.ix_(FREE, FREE)]
+    return float(1 / (tangent[FREE] @ np.linalg.solve(free, tangent[FREE])))
+
+
+def scale_source(settled: Settled, known: Known) -> str:
+    """What told the most about the scale of a fit, before vanishing points are asked."""
+    tangent = scale_tangent(settled.camera)
+    best, most = "prior", LOG_STRENGTH_DEVIATION**-2
+    for observation in known.observations:
+        told = observation.near(settled.camera).precision_along(tangent)
+        if told > most:
+            best, most = observation.source, told
+    return best
+
+
+def vanishing_scale(
+    camera: KannalaBrandt, samples: CurveSamples, tolerance: float, config: VanishingConfig
+) -> ScaleEstimate | None:
+    """Let the longest straight curves of one picture vote for the scale.
+
+    Args:
+        camera: The lens so far.
+        samples: Points of the picture's curves.
+        tolerance: RMS residual up to which a curve is straight, pixels.
+        config: How to search.
+    """
+    scale = camera.width / 1280
+    few = samples.coarse(curves=config.most_lines, most=12)
+    result = straightness(camera, few)
+    good = few.curve_rms(result.residuals) <= tolerance
+    lengths = few.lengths[good]
+    # a line of length L and noise σ turns by about 2 √3 σ / L, and by as much more as L subtends
+    deviations = 2 * np.sqrt(3) * _END_DEVIATION * scale / np.maximum(lengths, 1.0)
+    return scale_from_directions(
+        result.normals[good],
+        lengths / camera.width,
+        deviations,
+        rng=np.random.default_rng(config.seed),
+        config=config,
+    )
+
+
+def fused_scale(
+    camera: KannalaBrandt,
+    covariance: Float[np.ndarray, "9 9"],
+    estimates: Sequence[ScaleEstimate],
+) -> FusedScale | None:
+    """One Kalman update along the scale by the estimates of several pictures; None without any."""
+    if not estimates:
+        return None
+    precisions = np.array([estimate.deviation**-2 for estimate in estimates])
+    scales = np.array([estimate.log_scale for estimate in estimates])
+    tangent = scale_tangent(camera)
+    variance = scale_variance(tangent, covariance)
+    gain = variance / (variance + 1 / precisions.sum())
+    log_scale = float(precisions @ scales / precisions.sum())
+    return FusedScale(
+        rescaled(camera, float(np.exp(gain * log_scale))),
+        covariance - np.outer(tangent, tangent) * variance * gain,
+        gain,
+    )
