@@ -43,7 +43,9 @@ def make_film(path: Path, n_frames: int) -> None:
     """Soft random texture that drifts."""
     rng = np.random.default_rng(0)
     coarse = rng.integers(0, 255, (40, 80, 3), np.uint8)
-    texture = cv2.resize(coarse, (2 * SIZE[0], SIZE[1]), interpolation=cv2.INTER_CUBIC)
+    texture = cv2.resize(coarse, (2 * SIZE[0], SIZE[1]), interpolation=cv2.INTER_CUBIC).astype(
+        np.uint8
+    )
     with av.open(str(path), "w") as out:
         video = out.add_stream("libx264", rate=30, options={"crf": "18", "preset": "veryfast"})
         video.width, video.height = SIZE
