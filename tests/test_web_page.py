@@ -25,7 +25,7 @@ from hybrid.web.studio import Studio
 from hybrid.web.upload import Limits
 
 ROOT = Path(__file__).resolve().parents[1]
-CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
+CHROMIUM = shutil.which("chromium") or shutil.which("google-chrome")
 SHOTS = ROOT / "out" / "page"  # screenshots, to be looked at
 FLAGS = [
     "--headless",
