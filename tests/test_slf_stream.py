@@ -7,7 +7,7 @@ import torch
 from learned.slf.atlas import load_atlas, merged_atlas, sample, save_atlas
 from learned.slf.boxes import box_segments, box_visibility, render_boxes
 from learned.slf.layouts import draw_boxes
-from learned.slf.optics import optics, pixel_rays, project, unproject
+from learned.slf.optics import optics, pixel_rays, plane_points, project, unproject
 from learned.slf.pack import PANORAMA, PHOTOGRAPH, Annotated, build_atlas
 from learned.slf.patterns import draw_patterns
 from learned.slf.priors import lens_prior
@@ -118,6 +118,34 @@ def test_pixel_rays_project_back_to_their_pixels(lens):
         points, inside = project(seen, chosen, torch.full((len(at),), row))
         assert inside.float().mean() > 0.99
         assert (points - at.flip(1)).abs().max() < 0.02
+
+
+@pytest.mark.parametrize("size", [64, 63])
+@pytest.mark.parametrize("shift", [0.0, 0.07])
+def test_plane_points_are_where_the_rays_meet_the_plane(size, shift):
+    """The quarter of a centred lens is unfolded, others are made as a whole."""
+    lenses = lens_prior("paper").sample(np.random.default_rng(0), 3)
+    lenses.vector[:, 7] = shift
+    lenses.half_height[1] = 0.8
+    seen = optics(lenses, size=size)
+    rays, valid = pixel_rays(seen)
+    points = plane_points(seen)
+    ahead = valid & (rays[:, 2] > 0.55)
+    expected = rays[:, :2] / rays[:, 2:]
+    np.testing.assert_allclose(
+        points.movedim(1, 3)[ahead], expected.movedim(1, 3)[ahead], atol=2e-4
+    )
+    assert (points.abs().amax(dim=1)[~valid] > 1.0).all()
+
+
+def test_pictures_do_not_depend_on_how_many_are_rendered_together(atlas):
+    config = StreamCfg(photometry=None)
+    one, many = (
+        SlfStream(atlas, 3, 8, SIZE, dataclasses.replace(config, together=n)).batch(0)
+        for n in (1, 8)
+    )
+    assert (one.image - many.image).abs().max() < 2 / 255
+    assert torch.equal(one.line_map, many.line_map)
 
 
 def test_unproject_inverts_project(lens):

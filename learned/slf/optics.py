@@ -12,6 +12,9 @@ from learned.slf.lenses import LensBatch
 
 _TABLE_NODES = 1024
 _BEYOND = 0.02
+_LEAST_COSINE = 1e-3
+SIDEWAYS = 1e3
+"""Place on the plane z = 1 of rays that do not meet it."""
 
 
 @dataclass(frozen=True)
@@ -62,8 +65,40 @@ def optics(lenses: LensBatch, *, size: int, device: torch.device | str = "cpu") 
     )
 
 
+@dataclass(frozen=True)
+class RayTables:
+    """The inverse of r(θ), exact at equally spaced radii; made for many lenses at once.
+
+    Attributes:
+        top: Largest radius, at a corner of the frame, shape (b,).
+        sine: sin θ / r from r = 0 to `top`, shape (b, nodes).
+        cosine: cos θ, likewise.
+    """
+
+    top: Float[Tensor, " b"]
+    sine: Float[Tensor, "b nodes"]
+    cosine: Float[Tensor, "b nodes"]
+
+    def __getitem__(self, rows: Tensor) -> "RayTables":
+        """Those of some of the lenses."""
+        return RayTables(self.top[rows], self.sine[rows], self.cosine[rows])
+
+
+def ray_tables(lens: Optics, *, oversampling: int = 1) -> RayTables:
+    """Tables for `pixel_rays` and `plane_points` with the same oversampling."""
+    coordinate = _frame_coordinate(lens.size, oversampling, lens.vector)[[0, -1]]
+    x, y = _on_plane(lens, coordinate)
+    top = torch.sqrt(x * x + y * y).amax(dim=(1, 2))
+    share = torch.linspace(0.0, 1.0, _TABLE_NODES, dtype=top.dtype, device=top.device)
+    r = top[:, None] * share
+    theta, _ = theta_from_radius(r, lens.vector[:, :5], lens.theta_max)
+    sine = torch.sin(theta) / r.clamp_min(1e-9)
+    sine[:, 0] = 1.0 / lens.vector[:, 0]
+    return RayTables(top, sine, torch.cos(theta))
+
+
 def pixel_rays(
-    lens: Optics, *, oversampling: int = 1
+    lens: Optics, *, oversampling: int = 1, tables: RayTables | None = None
 ) -> tuple[Float[Tensor, "b 3 h w"], Bool[Tensor, "b h w"]]:
     """Unit viewing directions of all pixels.
 
@@ -73,32 +108,86 @@ def pixel_rays(
     Args:
         lens: Lenses and frame size.
         oversampling: Rays per pixel and axis.
+        tables: `ray_tables` of the lenses, where they are at hand.
 
     Returns:
         rays: Unit directions (x right, y down, z forward), (b, 3, h, w) with h = w = oversampling
             times the frame's size.
         valid: True where the lens images something inside the visible rectangle.
     """
+    tables = tables or ray_tables(lens, oversampling=oversampling)
     coordinate = _frame_coordinate(lens.size, oversampling, lens.vector)
-    centre_u, centre_v = lens.vector[:, 7, None], lens.vector[:, 8, None]
-    x = ((coordinate - centre_u) / lens.vector[:, 5, None])[:, None, :]
-    y = ((coordinate - centre_v) / lens.vector[:, 6, None])[:, :, None]
+    x, y = _on_plane(lens, coordinate)
     r = torch.sqrt(x * x + y * y)
-    top = r.amax(dim=(1, 2))
-    sine, cosine = _ray_tables(lens, top)
-    position = r * ((_TABLE_NODES - 1) / top)[:, None, None]
-    cell = position.floor().clamp_(0, _TABLE_NODES - 2)
-    share = position - cell
-    at = cell.long().flatten(1)
+    valid = _is_imaged(lens, r, coordinate)
+    at, share = _cells(r, tables.top)
     rays = torch.empty((len(lens), 3, *r.shape[1:]), dtype=r.dtype, device=r.device)
-    scale = _lerp(sine, at, share)
+    scale = _lerp(tables.sine, at, share)
     torch.mul(x, scale, out=rays[:, 0])
     torch.mul(y, scale, out=rays[:, 1])
-    rays[:, 2] = _lerp(cosine, at, share)
-    edge = radius(lens.theta_max[:, None], lens.vector[:, :5])[:, 0]
-    valid = r <= torch.minimum(edge, lens.circle)[:, None, None]
-    valid &= (coordinate.abs() <= lens.half_height[:, None])[:, :, None]
+    rays[:, 2] = _lerp(tables.cosine, at, share)
     return rays, valid
+
+
+def plane_points(
+    lens: Optics, *, oversampling: int = 1, tables: RayTables | None = None
+) -> Float[Tensor, "b 2 h w"]:
+    """Where the rays of all pixels meet the plane z = 1.
+
+    Args:
+        lens: Lenses and frame size.
+        oversampling: Rays per pixel and axis.
+        tables: `ray_tables` of the lenses, where they are at hand.
+
+    Returns:
+        x and y, (b, 2, h, w); far outside (`SIDEWAYS`) where the lens images nothing or the ray
+        does not meet the plane.
+    """
+    tables = tables or ray_tables(lens, oversampling=oversampling)
+    coordinate = _frame_coordinate(lens.size, oversampling, lens.vector)
+    # a centred lens sees four times the same quarter
+    centred = len(coordinate) % 2 == 0 and not lens.vector[:, 7:9].any()
+    part = coordinate[len(coordinate) // 2 :] if centred else coordinate
+    x, y = _on_plane(lens, part)
+    r = torch.sqrt(x * x + y * y)
+    outside = ~_is_imaged(lens, r, part)
+    ahead = tables.cosine > _LEAST_COSINE
+    tangent = torch.where(
+        ahead,
+        tables.sine / tables.cosine.clamp_min(_LEAST_COSINE),
+        SIDEWAYS / tables.top[:, None],
+    )
+    scale = _lerp(tangent, *_cells(r, tables.top))
+    points = torch.stack([x * scale, y * scale], dim=1).masked_fill_(outside[:, None], SIDEWAYS)
+    return _unfolded(points) if centred else points
+
+
+def _on_plane(lens: Optics, coordinate: Tensor) -> tuple[Tensor, Tensor]:
+    """Columns x (b, 1, n) and rows y (b, n, 1) in the isotropic plane of r(θ)."""
+    x = (coordinate - lens.vector[:, 7, None]) / lens.vector[:, 5, None]
+    y = (coordinate - lens.vector[:, 8, None]) / lens.vector[:, 6, None]
+    return x[:, None, :], y[:, :, None]
+
+
+def _is_imaged(lens: Optics, r: Tensor, row: Tensor) -> Tensor:
+    """Whether pixels lie in the image circle and the visible rectangle."""
+    edge = radius(lens.theta_max[:, None], lens.vector[:, :5])[:, 0]
+    inside = r <= torch.minimum(edge, lens.circle)[:, None, None]
+    return inside.logical_and_((row.abs() <= lens.half_height[:, None])[:, :, None])
+
+
+def _cells(r: Tensor, top: Tensor) -> tuple[Tensor, Tensor]:
+    """Cell of a table for every radius, and its place in the cell; `r` is used up."""
+    position = r.mul_(((_TABLE_NODES - 1) / top)[:, None, None])
+    cell = position.floor().clamp_(0, _TABLE_NODES - 2)
+    return cell.long().flatten(1), position.sub_(cell)
+
+
+def _unfolded(quarter: Float[Tensor, "b 2 h w"]) -> Float[Tensor, "b 2 h2 w2"]:
+    """The whole plane from its quarter of positive coordinates."""
+    sign = quarter.new_tensor([[-1.0, 1.0], [1.0, -1.0]]).view(2, 2, 1, 1)
+    lower = torch.cat([quarter.flip(3) * sign[0], quarter], dim=3)
+    return torch.cat([lower.flip(2) * sign[1], lower], dim=2)
 
 
 def project(
@@ -164,16 +253,6 @@ def _frame_coordinate(size: int, oversampling: int, like: Tensor) -> Tensor:
     count = size * oversampling
     index = torch.arange(count, dtype=like.dtype, device=like.device)
     return (index - (count - 1) / 2) / (count / 2)
-
-
-def _ray_tables(lens: Optics, top: Tensor) -> tuple[Tensor, Tensor]:
-    """Ratio sin θ / r and cos θ at equally spaced radii from 0 to `top`."""
-    share = torch.linspace(0.0, 1.0, _TABLE_NODES, dtype=top.dtype, device=top.device)
-    r = top[:, None] * share
-    theta, _ = theta_from_radius(r, lens.vector[:, :5], lens.theta_max)
-    sine = torch.sin(theta) / r.clamp_min(1e-9)
-    sine[:, 0] = 1.0 / lens.vector[:, 0]
-    return sine, torch.cos(theta)
 
 
 def _lerp(table: Tensor, at: Tensor, share: Tensor) -> Tensor:

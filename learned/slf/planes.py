@@ -65,27 +65,26 @@ def draw_planes(
 
 
 def render_planes(
-    atlas: Atlas, planes: Planes, rays: Float[Tensor, "b 3 h w"]
+    atlas: Atlas, planes: Planes, points: Float[Tensor, "b 2 h w"]
 ) -> Float[Tensor, "b 3 h w"]:
-    """What each ray sees of its photograph, in [0, 255]; black beside it."""
-    forward = rays[:, 2]
-    depth = 1.0 / forward.clamp_min(1e-3)
-    x, y = rays[:, 0] * depth, rays[:, 1] * depth
-    extent = atlas.extent[planes.picture, 0].to(rays.dtype)
+    """What is seen of the photographs at points of the plane, in [0, 255]; black beside them.
+
+    Args:
+        atlas: The photographs.
+        planes: One for each picture to make.
+        points: Where the pixels' rays meet the plane z = 1.
+    """
+    extent = atlas.extent[planes.picture, 0].to(points.dtype)
     # grid_sample wants the picture between −1 and 1, from border to border
     scale = (2.0 / extent)[:, :, None]
-    shift = (2.0 * planes.centre + 1.0) / extent - 1.0
-    axes = (planes.axes() * scale)[..., None, None]
-    grid = torch.stack(
-        [shift[:, i, None, None] + axes[:, i, 0] * x + axes[:, i, 1] * y for i in (0, 1)],
-        dim=3,
-    )
-    out = torch.empty_like(rays)
+    shift = ((2.0 * planes.centre + 1.0) / extent - 1.0)[..., None]
+    axes = planes.axes() * scale
+    grid = torch.baddbmm(shift, axes, points.flatten(2)).view(points.shape)
+    out = points.new_empty((len(points), 3, *points.shape[2:]))
     for row, picture in enumerate(planes.picture.tolist()):
-        out[row] = functional.grid_sample(
-            atlas.image(picture)[None], grid[row : row + 1], align_corners=False
-        )[0]
-    seen = (torch.maximum(x.abs(), y.abs()) <= 1.0) & (forward > 1e-3)
+        place = grid[row : row + 1].movedim(1, 3)
+        out[row] = functional.grid_sample(atlas.image(picture)[None], place, align_corners=False)[0]
+    seen = torch.maximum(points[:, 0].abs(), points[:, 1].abs()) <= 1.0
     return out.mul_(seen[:, None])
 
 

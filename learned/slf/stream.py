@@ -14,13 +14,13 @@ from torch import Tensor
 
 from learned.slf.atlas import Atlas
 from learned.slf.batch import SlfBatch
-from learned.slf.boxes import box_segments, box_visibility, render_boxes
+from learned.slf.boxes import Boxes, box_segments, box_visibility, render_boxes
 from learned.slf.layouts import LayoutCfg, PoseCfg, draw_boxes, draw_rotations
 from learned.slf.lenses import LensBatch, concatenated
-from learned.slf.optics import Optics, optics, pixel_rays
+from learned.slf.optics import Optics, optics, pixel_rays, plane_points, ray_tables
 from learned.slf.panoramas import Views, render_views, view_segments
 from learned.slf.photometry import PhotometryCfg, photographed
-from learned.slf.planes import draw_planes, plane_segments, render_planes
+from learned.slf.planes import Planes, draw_planes, plane_segments, render_planes
 from learned.slf.priors import lens_prior
 from learned.slf.rectify import rectified
 from learned.slf.strokes import Strokes, bent_strokes, draw_line_map
@@ -44,8 +44,9 @@ class StreamCfg:
         layout: Sizes of the box scenes.
         pose: Camera poses of panoramas.
         oversampling: Rays per pixel and axis.
-        group: Samples made together. One is best on a CPU, whose caches hold one picture; take 16
-            or more on a GPU. Samples depend on it, so keep it when resuming.
+        group: Samples drawn together. Samples depend on it, so keep it when resuming.
+        together: Pictures rendered together. One is best on a CPU, whose caches hold one picture;
+            take the whole group on a GPU.
         with_rectified: Whether to make the rectified ground truth; zeros otherwise.
     """
 
@@ -56,7 +57,8 @@ class StreamCfg:
     layout: LayoutCfg = field(default_factory=LayoutCfg)
     pose: PoseCfg = field(default_factory=PoseCfg)
     oversampling: int = 1
-    group: int = 1
+    group: int = 8
+    together: int = 1
     with_rectified: bool = True
 
 
@@ -100,31 +102,55 @@ class SlfStream:
         group = self.config.group
         edges = sorted({first, last, *range(-(-first // group) * group, last, group)})
         parts = [self._samples(a, b) for a, b in pairwise(edges)]
+        if len(parts) == 1:
+            return parts[0]
         device = self.atlas.texels.device
         rows = [torch.arange(a - first, b - first, device=device) for a, b in pairwise(edges)]
         strokes = [(strokes, at) for (_, strokes), at in zip(parts, rows, strict=True)]
         return joined_batches([batch for batch, _ in parts]), joined_strokes(strokes)
 
     def _samples(self, first: int, last: int) -> tuple[SlfBatch, Strokes]:
-        """Samples of one group, made together."""
+        """Samples of one group, drawn together."""
         rng = np.random.default_rng([self.seed, 1, first])
         scene, lens = self._lenses(first, last)
-        rays, valid = pixel_rays(lens, oversampling=self.config.oversampling)
-        clean = torch.empty_like(rays)
+        clean = lens.vector.new_empty((last - first, 3, self.size, self.size))
         strokes = []
-        for kind, make in ((_PLANES, self._planes), (_BOXES, self._boxes), (_VIEWS, self._views)):
-            rows = torch.from_numpy(np.nonzero(scene == kind)[0]).to(rays.device)
+        for kind, draw in ((_PLANES, self._planes), (_BOXES, self._boxes), (_VIEWS, self._views)):
+            rows = torch.from_numpy(np.nonzero(scene == kind)[0]).to(clean.device)
             if len(rows):
-                clean[rows], runs = make(rng, lens[rows], rays[rows])
+                content, runs = draw(rng, lens[rows])
                 strokes.append((runs, rows))
-        clean = _averaged(clean.mul_(valid[:, None] / 255.0), self.config.oversampling)
-        lines = joined_strokes(strokes)
+                self._render(content, lens[rows], clean, rows)
+        lines = joined_strokes(strokes) if len(strokes) > 1 else strokes[0][0]
         image = clean
         if self.config.photometry is not None:
             image = photographed(clean, lens, rng=rng, config=self.config.photometry)
-        flat = rectified(clean, lens) if self.config.with_rectified else torch.zeros_like(clean)
+        # zeros that take no memory
+        flat = rectified(clean, lens) if self.config.with_rectified else clean.new_zeros(1)
         line_map = draw_line_map(lines, batch=last - first, size=self.size)
+        flat = flat.expand_as(clean)
         return SlfBatch(image, line_map, lens.vector, flat, lens.theta_max), lines
+
+    def _render(
+        self, content: Planes | Boxes | Views, lens: Optics, out: Tensor, rows: Tensor
+    ) -> None:
+        """Clean pictures in [0, 1] into rows of `out`, so many at a time as fit the caches."""
+        oversampling = self.config.oversampling
+        tables = ray_tables(lens, oversampling=oversampling)
+        here = torch.arange(len(rows), device=rows.device)
+        for some in here.split(self.config.together):
+            lenses, scenes, inverse = lens[some], _some_of(content, some), tables[some]
+            if isinstance(scenes, Planes):
+                points = plane_points(lenses, oversampling=oversampling, tables=inverse)
+                picture = render_planes(self.atlas, scenes, points)
+            else:
+                rays, valid = pixel_rays(lenses, oversampling=oversampling, tables=inverse)
+                if isinstance(scenes, Boxes):
+                    picture = render_boxes(self.atlas, scenes, lenses, rays)
+                else:
+                    picture = render_views(self.atlas, scenes, rays)
+                picture *= valid[:, None]
+            out[rows[some]] = _averaged(picture, oversampling).mul_(1 / 255.0)
 
     def _lenses(self, first: int, last: int) -> tuple[np.ndarray, Optics]:
         """The scene of each sample and its lens; drawn in blocks, which is much cheaper."""
@@ -139,19 +165,15 @@ class SlfStream:
         rows = slice(first - blocks[0] * _BLOCK, last - blocks[0] * _BLOCK)
         return scene[rows], optics(lenses[rows], size=self.size, device=self.atlas.texels.device)
 
-    def _planes(
-        self, rng: np.random.Generator, lens: Optics, rays: Tensor
-    ) -> tuple[Tensor, Strokes]:
+    def _planes(self, rng: np.random.Generator, lens: Optics) -> tuple[Planes, Strokes]:
         photographs = self.atlas.of_kind(PHOTOGRAPH)
         planes = draw_planes(rng, self.atlas, photographs, len(lens), upright=False)
         lines = bent_strokes(
             lens, plane_segments(self.atlas, planes), shortest_px=self.config.shortest_px
         )
-        return render_planes(self.atlas, planes, rays), lines
+        return planes, lines
 
-    def _boxes(
-        self, rng: np.random.Generator, lens: Optics, rays: Tensor
-    ) -> tuple[Tensor, Strokes]:
+    def _boxes(self, rng: np.random.Generator, lens: Optics) -> tuple[Boxes, Strokes]:
         photographs, patterns = self.atlas.of_kind(PHOTOGRAPH), self.atlas.of_kind(PATTERN)
         boxes = draw_boxes(rng, self.atlas, photographs, patterns, len(lens), self.config.layout)
         lines = bent_strokes(
@@ -160,21 +182,20 @@ class SlfStream:
             visibility=lambda points, row: box_visibility(boxes, points, row),
             shortest_px=self.config.shortest_px,
         )
-        return render_boxes(self.atlas, boxes, lens, rays), lines
+        return boxes, lines
 
-    def _views(
-        self, rng: np.random.Generator, lens: Optics, rays: Tensor
-    ) -> tuple[Tensor, Strokes]:
+    def _views(self, rng: np.random.Generator, lens: Optics) -> tuple[Views, Strokes]:
         panoramas = self.atlas.of_kind(PANORAMA)
-        chosen = torch.from_numpy(rng.integers(0, len(panoramas), len(lens))).to(rays.device)
-        rotation = draw_rotations(rng, len(lens), self.config.pose)
-        views = Views(
-            panoramas[chosen], torch.as_tensor(rotation, dtype=rays.dtype, device=rays.device)
+        like = lens.vector
+        chosen = torch.from_numpy(rng.integers(0, len(panoramas), len(lens))).to(like.device)
+        rotation = torch.as_tensor(
+            draw_rotations(rng, len(lens), self.config.pose), dtype=like.dtype, device=like.device
         )
+        views = Views(panoramas[chosen], rotation)
         lines = bent_strokes(
             lens, view_segments(self.atlas, views), shortest_px=self.config.shortest_px
         )
-        return render_views(self.atlas, views, rays), lines
+        return views, lines
 
 
 @lru_cache(maxsize=64)
@@ -213,6 +234,11 @@ def joined_strokes(parts: list[tuple[Strokes, Tensor]]) -> Strokes:
         row=torch.cat([rows[s.row] for s, rows in parts]),
         segment=torch.cat(segments),
     )
+
+
+def _some_of(content: Planes | Boxes | Views, rows: Tensor) -> Planes | Boxes | Views:
+    """Some samples of a scene, whose tensors all have one row a sample."""
+    return type(content)(**{name: value[rows] for name, value in vars(content).items()})
 
 
 def _averaged(image: Tensor, oversampling: int) -> Tensor:

@@ -15,7 +15,7 @@ from classical.camera import KannalaBrandt
 from learned.slf.atlas import Atlas
 from learned.slf.layouts import PoseCfg, draw_rotations
 from learned.slf.lenses import LensBatch
-from learned.slf.optics import Optics, optics, pixel_rays
+from learned.slf.optics import Optics, optics, pixel_rays, plane_points
 from learned.slf.pack import annotated_photograph, build_atlas
 from learned.slf.panorama_lines import annotated_panorama
 from learned.slf.panoramas import Views, render_views, view_segments
@@ -79,10 +79,9 @@ def make_dwireframe(photographs: Sequence[Path], index: int, config: SetCfg) -> 
     lens = optics(lenses, size=config.size)
     atlas = _photograph_atlas(path)
     planes = draw_planes(rng, atlas, atlas.of_kind(0), 1, upright=True)
-    rays, valid = pixel_rays(lens, oversampling=config.oversampling)
-    picture = render_planes(atlas, planes, rays)
+    picture = render_planes(atlas, planes, plane_points(lens, oversampling=config.oversampling))
     segments = plane_segments(atlas, planes)
-    return _made(index, lenses, lens, (picture, valid), segments, path.stem, rng, config)
+    return _made(index, lenses, lens, picture, segments, path.stem, rng, config)
 
 
 def make_panorama_cut(panoramas: Sequence[Path], index: int, config: SetCfg) -> Made:
@@ -102,8 +101,8 @@ def make_panorama_cut(panoramas: Sequence[Path], index: int, config: SetCfg) -> 
     config = replace(config, oversampling=min(config.oversampling, 2))
     rays, valid = pixel_rays(lens, oversampling=config.oversampling)
     views, segments = _pose_with_lines(rng, atlas, lens, config)
-    picture = render_views(atlas, views, rays)
-    return _made(index, lenses, lens, (picture, valid), segments, path.stem, rng, config)
+    picture = render_views(atlas, views, rays).mul_(valid[:, None])
+    return _made(index, lenses, lens, picture, segments, path.stem, rng, config)
 
 
 def synthesize(
@@ -170,14 +169,13 @@ def _made(
     index: int,
     lenses: LensBatch,
     lens: Optics,
-    rendered: tuple[Tensor, Tensor],
+    rendered: Tensor,
     segments: Segments3D,
     origin: str,
     rng: np.random.Generator,
     config: SetCfg,
 ) -> Made:
-    clean = rendered[0] * (rendered[1][:, None] / 255.0)
-    clean = torch.nn.functional.avg_pool2d(clean, config.oversampling)
+    clean = torch.nn.functional.avg_pool2d(rendered / 255.0, config.oversampling)
     strokes = bent_strokes(lens, segments, shortest_px=_SHORTEST_SHARE * config.size)
     image = clean
     if config.photometry is not None:
