@@ -40,8 +40,8 @@ from eval.metrics import (
     polar_angle,
     rectified,
 )
-from eval.pool import ordered_map
 from eval.prediction import Estimate, Prediction
+from hybrid.pool import ordered_map
 
 SCORE_VERSION = 1
 """Raised whenever a metric changes; older scores are then made again."""

@@ -23,8 +23,9 @@ from hybrid.commands.checks import (
     refuse_existing,
     usage_error,
 )
-from hybrid.commands.reports import FAILURE, ITEM_ERRORS, Report, failure, nearness, progress, tell
+from hybrid.commands.reports import FAILURE, Report, failure, nearness, progress, tell
 from hybrid.config import RectifyConfig
+from hybrid.failures import ITEM_ERRORS
 from hybrid.images import read_picture
 from hybrid.pipeline import Rectifier
 from hybrid.result import Calibration

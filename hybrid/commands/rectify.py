@@ -28,8 +28,10 @@ from hybrid.commands.checks import (
     refuse_inputs,
     usage_error,
 )
-from hybrid.commands.reports import FAILURE, ITEM_ERRORS, Report, failure, nearness, progress, tell
+from hybrid.commands.reports import FAILURE, Report, failure, nearness, progress, tell
 from hybrid.config import RectifyConfig
+from hybrid.exif import straight_exif
+from hybrid.failures import ITEM_ERRORS
 from hybrid.images import Picture, is_picture_name, read_picture, write_picture
 from hybrid.overlay import draw_curves
 from hybrid.pipeline import Rectifier
@@ -127,7 +129,10 @@ def _rectify_one(job: _Job, rectifier: Rectifier, known: CameraFile | None, kind
     report["reason"] = result.reason
     if result.status == "failed":
         return report
-    write_picture(job.picture, replace(picture, pixels=result.image))
+    exif = picture.exif
+    if result.camera is not None and result.target is not None:
+        exif = straight_exif(exif, result.camera, result.target)
+    write_picture(job.picture, replace(picture, pixels=result.image, exif=exif))
     report["output"] = str(job.picture)
     if job.overlay is not None:
         write_picture(job.overlay, Picture(draw_curves(picture.pixels, result.curves)))

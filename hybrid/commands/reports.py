@@ -11,21 +11,16 @@ from typing import Any, TypeVar
 from tqdm import tqdm
 
 from classical.camera import Residual
+from hybrid.failures import reason_of
 
 T = TypeVar("T")
 Report = dict[str, Any]
 FAILURE = 1  # exit code when an item failed
-ITEM_ERRORS = (OSError, ValueError, MemoryError)  # they end one item, not the command
 
 
 def failure(source: Path, error: Exception) -> Report:
     """The report of an item that came to nothing because of one of `ITEM_ERRORS`."""
-    if isinstance(error, MemoryError):
-        reason = "not enough memory"
-    else:  # without the path that the report names anyway
-        text = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
-        reason = " ".join(text.split()).removeprefix(f"{source}: ")
-    return {"input": str(source), "status": "failed", "reason": reason}
+    return {"input": str(source), "status": "failed", "reason": reason_of(error, source)}
 
 
 def progress(items: Sequence[T]) -> Iterator[T]:
@@ -47,7 +42,14 @@ def tell(report: Report, *, as_json: bool) -> None:
         tqdm.write(json.dumps(report, allow_nan=False), file=sys.stdout)
     if report["status"] == "failed":
         line = f"straightlens: {report['input']}: {report['reason']}"
-        tqdm.write(line, file=sys.stderr)
+        tqdm.write(_printable(line), file=sys.stderr)
     elif not as_json:
         line = f"{report['input']} -> {report['output']}  {report['status']}: {report['reason']}"
-        tqdm.write(line, file=sys.stdout)
+        tqdm.write(_printable(line), file=sys.stdout)
+
+
+def _printable(line: str) -> str:
+    """A line on which no file name can break out."""
+    return "".join(
+        char if char.isprintable() else char.encode("unicode_escape").decode() for char in line
+    )

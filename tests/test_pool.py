@@ -4,7 +4,7 @@ import os
 
 import pytest
 
-from eval.pool import ordered_map
+from hybrid.pool import ordered_map
 
 
 def tasks() -> list[str]:
@@ -35,6 +35,11 @@ def test_workers_keep_to_one_thread_and_the_caller_keeps_its_own(monkeypatch):
     names = ["OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"]
     assert list(ordered_map(os.getenv, names, workers=2)) == ["1", "1"]
     assert os.environ["OMP_NUM_THREADS"] == "7"
+
+
+def test_a_worker_that_dies_is_told():
+    with pytest.raises(OSError, match="worker process died"):
+        list(ordered_map(os._exit, [1, 1], workers=2))
 
 
 @pytest.mark.slow
