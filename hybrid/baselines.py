@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from functools import partial
+from typing import Literal
 
 import numpy as np
 from jaxtyping import UInt8
@@ -20,11 +21,15 @@ _CURVE_SIGMA = 1.0  # pixels; the baselines say nothing of it
 _Estimate = Callable[[np.ndarray], "aleman_flores.AlemanFloresResult | bukhari.BukhariResult"]
 
 
+def _variant(config: RectifyConfig) -> Literal["2014", "2016"]:
+    return "2016" if config.variant == "2016" else "2014"
+
+
 class AlemanFloresEstimator:
     """Alemán-Flores et al., IPOL 2014 or 2016 (`RectifyConfig.variant`)."""
 
     def __init__(self, config: RectifyConfig) -> None:
-        settings = aleman_flores.AlemanFloresConfig.for_variant(config.variant)
+        settings = aleman_flores.AlemanFloresConfig.for_variant(_variant(config))
         self._estimate = partial(aleman_flores.estimate, config=settings)
 
     def __call__(self, pictures: Sequence[UInt8[ndarray, "h w 3"]]) -> Calibration:

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
 
 from hybrid.methods import DEFAULT_METHOD, check_method
 
+METHOD_VARIANTS = {
+    "aleman-flores": ("2014", "2016"),
+    "hybrid": ("start", "prior", "snapped", "edges", "full"),
+}
 _INTERPOLATIONS = ("linear", "cubic", "lanczos")
 
 
@@ -24,7 +27,11 @@ class RectifyConfig:
         size: (width, height) of the straight picture; None keeps the size of the input.
         interpolation: "linear", "cubic" or "lanczos".
         antialias: Smooth where the picture shrinks.
-        variant: "2014" or "2016", of the method aleman-flores.
+        camera_focal: Focal length of the photograph in pixels, if it is known.
+        camera_fov: Horizontal field of view of the photograph in degrees, if it is known.
+        circle_fov: Field of view of the image circle in degrees (often 180), if it is known.
+        variant: Of the method: "2014" (default) or "2016" of aleman-flores; one of the steps of
+            `hybrid.fusion.VARIANTS` of hybrid. None is the whole method.
         weights: Weights of the networks, a safetensors file; None means those that ship.
         seed: Of every random choice, so that the same picture gives the same answer.
         threads: CPU threads to use; None leaves it to the libraries.
@@ -37,7 +44,10 @@ class RectifyConfig:
     size: tuple[int, int] | None = None
     interpolation: str = "linear"
     antialias: bool = True
-    variant: Literal["2014", "2016"] = "2014"
+    camera_focal: float | None = None
+    camera_fov: float | None = None
+    circle_fov: float | None = None
+    variant: str | None = None
     weights: str | None = None
     seed: int = 0
     threads: int | None = None
@@ -61,7 +71,21 @@ class RectifyConfig:
             raise ValueError(
                 f"Expected interpolation in {_INTERPOLATIONS}, got {self.interpolation!r}."
             )
-        if self.variant not in ("2014", "2016"):
-            raise ValueError(f"Expected variant 2014 or 2016, got {self.variant!r}.")
+        variants = METHOD_VARIANTS.get(self.method, ())
+        if self.variant is not None and self.variant not in variants:
+            known = ", ".join(variants) or "none"
+            raise ValueError(
+                f"Expected a variant of {self.method} ({known}), got {self.variant!r}."
+            )
         if self.threads is not None and self.threads < 1:
             raise ValueError(f"Expected threads >= 1, got {self.threads}.")
+        self._check_camera()
+
+    def _check_camera(self) -> None:
+        """What the user says of the photograph."""
+        if self.camera_focal is not None and not self.camera_focal > 0:
+            raise ValueError(f"Expected camera_focal > 0 pixels, got {self.camera_focal}.")
+        for name in ("camera_fov", "circle_fov"):
+            value = getattr(self, name)
+            if value is not None and not 10 <= value <= 300:
+                raise ValueError(f"Expected {name} in [10, 300] degrees, got {value}.")

@@ -4,11 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+import numpy as np
 from jaxtyping import UInt8
 from numpy import ndarray
 
-from classical.fit import FitConfig, LensFit, VanishingConfig, fit_lens
-from classical.lines import curves_from_image, find_image_circle
+from classical.fit import (
+    FitConfig,
+    LensFit,
+    Observation,
+    VanishingConfig,
+    fit_lens,
+    of_field,
+    of_focal,
+)
+from classical.lines import ImageCircle, curves_from_image, find_image_circle
 from hybrid.config import RectifyConfig
 from hybrid.result import Calibration, Quality
 
@@ -34,14 +43,48 @@ class ClassicalEstimator:
 
     def __call__(self, pictures: Sequence[UInt8[ndarray, "h w 3"]]) -> Calibration:
         """One lens for all pictures."""
+        failure = too_small(pictures)
+        if failure is not None:
+            return failure
         height, width = pictures[0].shape[:2]
-        if min(height, width) < _MIN_SIDE:
-            reason = f"a picture of {width}x{height} pixels is too small to show lines"
-            return Calibration(None, tuple(() for _ in pictures), Quality(), "failed", reason)
-        curves = [curves_from_image(picture) for picture in pictures]
-        settings = FitConfig(vanishing=VanishingConfig(seed=self._config.seed))
-        fit = fit_lens(curves, width, height, config=settings)
+        circles = [find_image_circle(picture) for picture in pictures]
+        fit = fit_lens(
+            [curves_from_image(picture) for picture in pictures],
+            width,
+            height,
+            config=FitConfig(vanishing=VanishingConfig(seed=self._config.seed)),
+            circles=circles,
+            observations=given_by_user(self._config, circles, width),
+        )
         return estimate_from_fit(fit)
+
+
+def too_small(pictures: Sequence[UInt8[ndarray, "h w 3"]]) -> Calibration | None:
+    """The answer where pictures have no room for a line, else None."""
+    height, width = pictures[0].shape[:2]
+    if min(height, width) >= _MIN_SIDE:
+        return None
+    reason = f"a picture of {width}x{height} pixels is too small to show lines"
+    return Calibration(None, tuple(() for _ in pictures), Quality(), "failed", reason)
+
+
+def given_by_user(
+    config: RectifyConfig, circles: Sequence[ImageCircle | None], width: int
+) -> list[Observation]:
+    """What the user knows of the lens."""
+    known = []
+    if config.camera_focal is not None:
+        known.append(of_focal(config.camera_focal, width))
+    if config.camera_fov is not None:
+        field = np.radians(config.camera_fov)
+        known.append(of_field(field, width / 2, width, "the field of view given"))
+    if config.circle_fov is not None:
+        radii = [circle.radius for circle in circles if circle is not None]
+        if not radii:
+            raise ValueError("Expected an image circle for circle_fov, found none in the pictures.")
+        field = np.radians(config.circle_fov)
+        known.append(of_field(field, float(np.median(radii)), width, "the image circle's field"))
+    return known
 
 
 def estimate_from_fit(fit: LensFit) -> Calibration:

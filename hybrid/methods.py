@@ -45,6 +45,11 @@ class Method:
 
 METHODS = (
     Method(
+        "hybrid",
+        "networks and the straightness fit together",
+        "hybrid.fusion:HybridEstimator",
+    ),
+    Method(
         "classical",
         "edges of the picture made straight by a least-squares fit",
         "hybrid.estimators:ClassicalEstimator",
@@ -67,7 +72,7 @@ METHODS = (
     ),
     Method("identity", "nothing: the picture as it is", "hybrid.estimators:IdentityEstimator"),
 )
-DEFAULT_METHOD = METHODS[0].name
+DEFAULT_METHOD = "hybrid"
 
 
 def method_names() -> tuple[str, ...]:

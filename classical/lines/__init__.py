@@ -7,5 +7,7 @@ from classical.lines.joining import JoinConfig as JoinConfig
 from classical.lines.joining import join_curves as join_curves
 from classical.lines.vectorise import HeatmapCurvesConfig as HeatmapCurvesConfig
 from classical.lines.vectorise import ImageCurvesConfig as ImageCurvesConfig
+from classical.lines.vectorise import centre_curves as centre_curves
+from classical.lines.vectorise import curves_from_both as curves_from_both
 from classical.lines.vectorise import curves_from_heatmap as curves_from_heatmap
 from classical.lines.vectorise import curves_from_image as curves_from_image

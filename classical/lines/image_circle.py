@@ -179,20 +179,24 @@ def _fitted(points: Float[np.ndarray, "n 2"], config: ImageCircleConfig) -> _Ell
         ratio = 1 + squared / tail
         return np.stack([tail * np.log(ratio), 1 / ratio, -1 / (tail * ratio**2)])
 
-    x = start
+    x, jacobian = start, np.empty((0, 4))
     for _ in range(3):
         inside = residuals(x) < 0
         found = least_squares(
-            with_belief, x, loss=loss, x_scale=[start[2]] * 3 + [1.0], max_nfev=20
+            with_belief,
+            x,
+            loss=loss,  # pyright: ignore[reportArgumentType]
+            x_scale=[start[2]] * 3 + [1.0],
+            max_nfev=20,
         )
-        x = found.x
+        x, jacobian = found.x, found.jac
     on_it = np.abs(residuals(x)) < _ON_IT
     direction = np.arctan2((points[on_it, 1] - x[1]) / x[3], points[on_it, 0] - x[0])
     coverage = len(np.unique(np.floor(direction * 90 / np.pi))) * (np.pi / 90)
     enough = coverage >= config.least_coverage and on_it.mean() >= config.least_share
     if not enough or not _LEAST_ASPECT < x[3] < 1 / _LEAST_ASPECT:
         return None
-    information = found.jac.T @ found.jac * (config.pieces / len(points))
+    information = jacobian.T @ jacobian * (config.pieces / len(points))
     return _Ellipse(x, np.linalg.inv(information), coverage)
 
 

@@ -152,12 +152,89 @@ def curves_from_heatmap(
         for part in (arcs, snapped)
         for curve in finish_curves(part, full, scale, config.image.refinement)
     ]
-    sigma = config.centre_sigma * full.shape[1] / heatmap.shape[1]
-    for start, stop in zip(unsnapped.offsets[:-1], unsnapped.offsets[1:], strict=True):
-        points = (unsnapped.points[start:stop] + 0.5) / scale - 0.5
-        curves.append(Curve(points, sigma, 0.0))
+    curves += _unsnapped_curves(unsnapped, scale, full.shape[1] / heatmap.shape[1], config)
     curves = [curve for curve in _heated(curves, wide, full) if curve.strength >= config.min_heat]
     return sorted(curves, key=lambda curve: -curve.length)[: config.image.max_curves]
+
+
+def curves_from_both(
+    heatmap: Float[np.ndarray, "hh ww"],
+    image: UInt8[np.ndarray, "h w *c"],
+    *,
+    config: HeatmapCurvesConfig = HeatmapCurvesConfig(),
+    edges: ImageCurvesConfig = ImageCurvesConfig(),
+) -> list[Curve]:
+    """Edges of the picture, and what the heatmap marks beyond them.
+
+    Args:
+        heatmap: Heat per pixel, high on lines, of the same view as `image` at any resolution.
+        image: Grey (h, w) or RGB (h, w, 3), uint8.
+        config: How curves are taken from the heatmap.
+        edges: How curves are taken from the picture.
+
+    Returns:
+        Curves in pixels of `image`, the longest first.
+    """
+    full = _grey(image)
+    work, scale = _working_picture(full, edges)
+    surround = find_surround(work)
+    arcs = _edge_arcs(detect_edges(work, config=edges.edges), surround, edges)
+    arcs = longest_arcs(arcs, edges.max_curves)
+    curves = finish_curves(arcs, full, scale, edges.refinement)
+    ridges = detect_ridges(heatmap, config=config.ridges)
+    centre = _centre_lines(ridges, arcs, work, config)
+    ratio = work.shape[1] / heatmap.shape[1]
+    snapped, unsnapped = _snapped(centre, work, ratio, surround, config)
+    curves += finish_curves(snapped, full, scale, edges.refinement)
+    curves += _unsnapped_curves(unsnapped, scale, full.shape[1] / heatmap.shape[1], config)
+    return sorted(curves, key=lambda curve: -curve.length)
+
+
+def centre_curves(
+    heatmap: Float[np.ndarray, "hh ww"],
+    width: int,
+    height: int,
+    *,
+    config: HeatmapCurvesConfig = HeatmapCurvesConfig(),
+) -> list[Curve]:
+    """The centre lines of a heatmap as curves, without a look at the picture.
+
+    Args:
+        heatmap: Heat per pixel, high on lines.
+        width: Width of the picture in whose pixels the curves are given.
+        height: Its height.
+        config: How curves are taken.
+
+    Returns:
+        Curves, the longest first.
+    """
+    if heatmap.ndim != 2:
+        raise ValueError(f"Expected a heatmap of shape (h, w), got {heatmap.shape}.")
+    arcs = link_arcs(
+        detect_ridges(heatmap, config=config.ridges),
+        directed=False,
+        smooth=config.smooth,
+        continuation=config.continuation,
+    )
+    arcs = arcs.chosen(arcs.chords() >= config.min_length)
+    ratio = np.array([width / heatmap.shape[1], height / heatmap.shape[0]])
+    sigma = config.centre_sigma * float(ratio[0])
+    curves = [
+        Curve((arcs.points[start:stop] + 0.5) * ratio - 0.5, sigma, 0.5)
+        for start, stop in zip(arcs.offsets[:-1], arcs.offsets[1:], strict=True)
+    ]
+    return sorted(curves, key=lambda curve: -curve.length)[: config.image.max_curves]
+
+
+def _unsnapped_curves(
+    arcs: Arcs, scale: np.ndarray, enlargement: float, config: HeatmapCurvesConfig
+) -> list[Curve]:
+    """Centre lines that found no edge, in pixels of the picture."""
+    sigma = config.centre_sigma * enlargement
+    return [
+        Curve((arcs.points[start:stop] + 0.5) / scale - 0.5, sigma, 0.0)
+        for start, stop in zip(arcs.offsets[:-1], arcs.offsets[1:], strict=True)
+    ]
 
 
 def _grey(image: np.ndarray) -> np.ndarray:

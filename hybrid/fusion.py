@@ -1,0 +1,121 @@
+"""The hybrid: what the networks see and what straight lines prove, in one fit.
+
+Line perception says where lines are, beside the edges that the picture shows by itself; LaRecNet's
+lens is a start and a belief; the straightness fit has the last word in all that lines tell.
+Importing this module loads torch.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import UInt8
+from numpy import ndarray
+
+from classical.fit import (
+    FitConfig,
+    SolverConfig,
+    VanishingConfig,
+    fit_lens,
+    of_belief,
+)
+from classical.lines import (
+    Curve,
+    centre_curves,
+    curves_from_both,
+    curves_from_heatmap,
+    find_image_circle,
+)
+from hybrid.config import RectifyConfig
+from hybrid.estimators import estimate_from_fit, given_by_user, too_small
+from hybrid.networks import network_belief
+from hybrid.result import Calibration
+from learned.predictor import Predictor
+
+_NETWORK = "network"
+
+
+@dataclass(frozen=True)
+class HybridConfig:
+    """What takes part; the variants of the ablation switch it on one by one.
+
+    Attributes:
+        snaps: Curves of the heatmap lie on the picture's sub-pixel edges, not on its centre lines.
+        adds_edges: Edges that the heatmap does not mark are curves too.
+        believes: LaRecNet's lens is a belief beside a start.
+        doubt: Its standard deviations are widened so far: a network does worse on real pictures
+            than on those it was trained on.
+        redundancy: Bends that tell as much as one independent one, beside that belief.
+        has_vanishing: Orthogonal vanishing points help to fix the scale.
+        longest: Line perception looks at the picture with this longest side, pixels.
+    """
+
+    snaps: bool = True
+    adds_edges: bool = True
+    believes: bool = True
+    doubt: float = 2.5
+    redundancy: float = 2.0
+    has_vanishing: bool = True
+    longest: int = 640
+
+
+VARIANTS = {
+    "start": HybridConfig(snaps=False, adds_edges=False, believes=False, has_vanishing=False),
+    "prior": HybridConfig(snaps=False, adds_edges=False, has_vanishing=False),
+    "snapped": HybridConfig(adds_edges=False, has_vanishing=False),
+    "edges": HybridConfig(has_vanishing=False),
+    "full": HybridConfig(),
+}
+"""Each has one thing more than the one before: a fit from the network's start, its belief,
+sub-pixel edges, edges of the picture's own, vanishing points."""
+
+
+class HybridEstimator:
+    """Networks and straightness fit together; many pictures of one lens in one fit."""
+
+    def __init__(self, config: RectifyConfig) -> None:
+        self._config = config
+        self._hybrid = VARIANTS[config.variant or "full"]
+        self._predictor = Predictor.from_weights(config.weights)
+
+    def __call__(self, pictures: Sequence[UInt8[ndarray, "h w 3"]]) -> Calibration:
+        """One lens for all pictures."""
+        height, width = pictures[0].shape[:2]
+        failure = too_small(pictures)
+        if failure is not None:
+            return failure
+        cfg = self._hybrid
+        predictions = [self._predictor.lens(picture) for picture in pictures]
+        belief = network_belief(predictions)
+        circles = [find_image_circle(picture) for picture in pictures]
+        observations = given_by_user(self._config, circles, width)
+        starts = []
+        if belief is not None:
+            starts.append(belief.decode(np.zeros(8), width, height))
+            if cfg.believes:
+                observations.append(of_belief(belief, _NETWORK, doubt=cfg.doubt))
+        fit = fit_lens(
+            [self._curves(picture) for picture in pictures],
+            width,
+            height,
+            config=FitConfig(
+                vanishing=VanishingConfig(seed=self._config.seed) if cfg.has_vanishing else None,
+                solver=SolverConfig(redundancy=cfg.redundancy),
+            ),
+            circles=circles,
+            observations=observations,
+            starts=starts,
+        )
+        return estimate_from_fit(fit)
+
+    def _curves(self, picture: UInt8[ndarray, "h w 3"]) -> list[Curve]:
+        """Edges of the picture, and curves of the heatmap that are not among them."""
+        cfg = self._hybrid
+        lines = self._predictor.lines(picture, longest=cfg.longest)
+        if not cfg.snaps:
+            return centre_curves(lines.lineness, picture.shape[1], picture.shape[0])
+        if not cfg.adds_edges:
+            return curves_from_heatmap(lines.lineness, picture)
+        return curves_from_both(lines.lineness, picture)
