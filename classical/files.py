@@ -1,11 +1,15 @@
 """Files that are written whole or not at all."""
 
 import os
+import platform
+import re
 import shutil
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+
+_PREFIX = ".writing-"
 
 
 @contextmanager
@@ -27,10 +31,38 @@ def atomic_path(path: str | os.PathLike[str]) -> Iterator[Path]:
         OSError: If the folder does not exist or cannot be written to.
     """
     target = Path(path)
-    folder = Path(tempfile.mkdtemp(prefix=".writing-", dir=target.parent))
+    prefix = f"{_PREFIX}{_host()}-{os.getpid()}-"
+    folder = Path(tempfile.mkdtemp(prefix=prefix, dir=target.parent))
     temporary = folder / target.name
     try:
         yield temporary
         temporary.replace(target)
     finally:
         shutil.rmtree(folder, ignore_errors=True)
+
+
+def remove_leftovers(folder: Path) -> None:
+    """Remove what `atomic_path` could not, as its process was killed; for this host's processes.
+
+    Args:
+        folder: Where files were written. Others' temporary files there stay.
+    """
+    pattern = re.compile(re.escape(f"{_PREFIX}{_host()}-") + r"(\d+)-")
+    for entry in folder.glob(f"{_PREFIX}*"):
+        owner = pattern.match(entry.name)
+        if owner and not _is_running(int(owner[1])):
+            shutil.rmtree(entry, ignore_errors=True)
+
+
+def _host() -> str:
+    return re.sub(r"[^A-Za-z0-9]", "", platform.node())[:20]
+
+
+def _is_running(pid: int) -> bool:
+    try:
+        os.kill(pid, 0)
+    except ProcessLookupError:
+        return False
+    except PermissionError:  # it is there, and somebody else's
+        return True
+    return True

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from classical.files import atomic_path
+from classical.files import atomic_path, remove_leftovers
 from eval.cases import Case, Suite
 from eval.methods import Method
 
@@ -89,9 +89,10 @@ def claim_folder(
         _refuse_differences(saved, config, folder.root)
         for key in ("methods", "origins"):  # what is there keeps its origin
             config[key] = config[key] | saved[key]
-    for method in methods:
-        (folder.root / "predictions" / method.tag).mkdir(parents=True, exist_ok=True)
-    (folder.root / "scores").mkdir(parents=True, exist_ok=True)
+    places = [folder.root / "predictions" / method.tag for method in methods]
+    for place in (*places, folder.root / "scores"):
+        place.mkdir(parents=True, exist_ok=True)
+        remove_leftovers(place)
     with atomic_path(folder.config) as temporary:
         temporary.write_text(json.dumps(config, indent=1, sort_keys=True), encoding="utf-8")
     return config

@@ -273,6 +273,17 @@ def test_other_settings_are_refused_and_overwrite_begins_again(flat, tmp_path):
     assert read_picture(out / "0.png").pixels.shape == (48, 64)
 
 
+def test_two_batches_do_not_work_in_one_folder(flat, tmp_path):
+    pytest.importorskip("fcntl")
+    how = BatchConfig(camera=LENS, workers=1)
+    with (
+        Batch(flat, tmp_path / "out", CLASSICAL, how),
+        pytest.raises(ValueError, match="another batch is at work"),
+    ):
+        Batch(flat, tmp_path / "out", CLASSICAL, how)
+    assert len(do(flat, tmp_path / "out", camera=LENS)) == 4
+
+
 # ---- what must not be lost -----------------------------------------------------------------------
 
 
@@ -298,7 +309,7 @@ def test_results_below_the_pictures_are_not_taken_for_pictures(flat):
 
 def test_a_foreign_manifest_is_refused(flat, tmp_path):
     (tmp_path / "out").mkdir()
-    for text in ("hello\n", '{"kind": "picture", "input": "a"}\n', "[1]\n"):
+    for text in ("hello", "hello\n", '{"kind": "picture", "input": "a"}\n', "[1]\n"):
         (tmp_path / "out" / "manifest.jsonl").write_text(text)
         with pytest.raises(ValueError, match="no manifest"):
             do(flat, tmp_path / "out", camera=LENS)

@@ -10,9 +10,15 @@ import json
 from pathlib import Path
 from typing import Any
 
+try:
+    import fcntl
+except ImportError:  # Windows
+    fcntl = None
+
 Fields = dict[str, Any]
 NAME = "manifest.jsonl"
 _KIND = "kind"
+_BEGINNING = b'{"kind": "settings", '
 
 
 class Manifest:
@@ -35,11 +41,14 @@ class Manifest:
         self._path = folder / NAME
         self.lenses: dict[str, Fields] = {}
         self.pictures: dict[str, Fields] = {}
-        is_new = restart or not self._path.exists()
-        size = 0 if is_new else self._read(settings)
-        self._file = self._path.open("r+b" if size else "wb")
-        self._file.seek(size)
-        self._file.truncate()
+        self._file = self._path.open("a+b")
+        try:
+            self._lock()
+            size = 0 if restart else self._read(settings)
+        except BaseException:
+            self._file.close()
+            raise
+        self._file.truncate(size)
         if not size:
             self._write({_KIND: "settings", **settings})
 
@@ -61,10 +70,24 @@ class Manifest:
         self._file.write(json.dumps(fields, allow_nan=False).encode() + b"\n")
         self._file.flush()
 
+    def _lock(self) -> None:
+        """Keep others out as long as the file is open; the end of the process unlocks it."""
+        if fcntl is None:
+            return
+        try:
+            fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            raise ValueError(f"another batch is at work in {self._path.parent}") from None
+        except OSError:
+            return  # a file system without locks
+
     def _read(self, settings: Fields) -> int:
         """Take in the lines; returns where the last whole one ends."""
-        data = self._path.read_bytes()
+        self._file.seek(0)
+        data = self._file.read()
         whole = data[: data.rfind(b"\n") + 1]
+        if not whole and not _BEGINNING.startswith(data[: len(_BEGINNING)]):
+            raise ValueError(f"{self._path} is no manifest; use another folder")
         for number, line in enumerate(whole.splitlines()):
             fields = self._parsed(line)
             kind = fields.pop(_KIND, None)

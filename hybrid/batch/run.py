@@ -9,10 +9,11 @@ from pathlib import Path
 from types import TracebackType
 
 from classical.camera import KannalaBrandt
+from classical.files import remove_leftovers
 from hybrid.batch.groups import GROUPINGS, Job, find_pictures, sampled
 from hybrid.batch.manifest import NAME as MANIFEST
 from hybrid.batch.manifest import Manifest
-from hybrid.batch.work import Fields, Task, Workplace, classified, find_lens, straighten
+from hybrid.batch.work import LENSES, Fields, Task, Workplace, classified, find_lens, straighten
 from hybrid.camera_files import read_camera
 from hybrid.config import RectifyConfig
 from hybrid.pool import WorkPool, processor_count
@@ -80,6 +81,7 @@ class Batch:
         _check_apart(folder, out)
         self._place = Workplace(folder.resolve(), out.resolve(), config)
         self._how = how
+        self._pool = WorkPool(workers=how.workers or processor_count(), cluster=how.cluster)
         self._names = find_pictures(self._place.folder, self._place.out)
         self.n_pictures = len(self._names)
         if not self._names:
@@ -88,7 +90,8 @@ class Batch:
             _check_free(out, self._names)
         out.mkdir(parents=True, exist_ok=True)
         self._manifest = Manifest(out, _settings(config, how), restart=how.overwrite)
-        self._pool = WorkPool(workers=how.workers or processor_count(), cluster=how.cluster)
+        for place in {out / name.parent for name in (*self._names, Path(LENSES) / "any")}:
+            remove_leftovers(place)
         self._left: list[Job] = []
 
     def __enter__(self) -> Batch:

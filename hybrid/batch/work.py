@@ -23,7 +23,7 @@ from hybrid.images import Picture, read_picture, write_picture
 from hybrid.pipeline import calibrate, rectify
 
 Fields = dict[str, Any]
-_LENSES = "lenses"  # folder of the groups' camera files
+LENSES = "lenses"  # folder of the groups' camera files
 _SAMPLE_PIXELS = 150_000_000  # of all pictures that a lens is found from, so that memory is bounded
 
 
@@ -73,8 +73,8 @@ def find_lens(place: Workplace, sample: Sequence[Job]) -> Fields:
         if found.camera is None:
             return fields
         content = CameraFile(found.camera, found.status, found.reason, found.quality)
-        name = f"{_LENSES}/{group_file(group)}.camera.json"
-        (place.out / _LENSES).mkdir(parents=True, exist_ok=True)
+        name = f"{LENSES}/{group_file(group)}.camera.json"
+        (place.out / LENSES).mkdir(parents=True, exist_ok=True)
         write_camera(place.out / name, content)
     except ITEM_ERRORS as error:
         return fields | {"status": "failed", "reason": reason_of(error, place.out)}

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import click
 
+from classical.files import remove_leftovers
 from classical.warp import is_stmap_name
 from hybrid.camera_files import format_suffix
 from hybrid.images import is_picture_name
@@ -68,8 +69,9 @@ def check_camera_name(path: Path, kind: str) -> None:
 
 
 def make_folder(folder: Path) -> None:
-    """Make a folder and those above it."""
+    """Make a folder and those above it; clear away what killed commands left half-written."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
+        remove_leftovers(folder)
     except OSError as error:
         raise click.ClickException(f"cannot make the folder {folder}: {error.strerror}") from error

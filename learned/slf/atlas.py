@@ -13,6 +13,8 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
+from classical.files import atomic_path
+
 LEVELS = 4
 """Mip levels stored per picture: full size, then halves."""
 
@@ -162,9 +164,8 @@ def save_atlas(atlas: Atlas, path: Path) -> None:
     """Write a pack, whole or not at all."""
     from safetensors.torch import save_file
 
-    temporary = path.with_name(path.name + ".part")
-    save_file(dict(vars(atlas)), temporary, metadata={"format": _FORMAT})
-    temporary.replace(path)
+    with atomic_path(path) as temporary:
+        save_file(dict(vars(atlas)), temporary, metadata={"format": _FORMAT})
 
 
 def load_atlas(path: Path) -> Atlas:

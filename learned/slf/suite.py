@@ -13,7 +13,6 @@ forward) and its bent `length_px`.
 """
 
 import json
-import os
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -23,8 +22,10 @@ from jaxtyping import Float, UInt8
 from numpy import ndarray
 
 from classical.camera import KannalaBrandt
+from classical.files import atomic_path, remove_leftovers
 
 FORMAT = "straightlens-suite-1"
+_FOLDERS = ("pictures", "straight", "items")
 _POINT_DIGITS = 3
 _RAY_DIGITS = 7
 
@@ -111,8 +112,10 @@ class SuiteFolder:
                 raise ValueError(
                     f"expected the settings of the suite that is there already, {found}, got {full}"
                 )
+            for folder in (self.path, *(self.path / name for name in _FOLDERS)):
+                remove_leftovers(folder)
             return
-        for name in ("pictures", "straight", "items"):
+        for name in _FOLDERS:
             (self.path / name).mkdir(parents=True, exist_ok=True)
         write_whole(self.path / "suite.json", json.dumps(full, indent=1).encode() + b"\n")
 
@@ -151,13 +154,9 @@ def write_png(path: Path, image: UInt8[ndarray, "h w 3"]) -> None:
 
 
 def write_whole(path: Path, data: bytes) -> None:
-    """Write a file under another name and move it into place."""
-    temporary = path.with_name(f".{path.name}.part")
-    with temporary.open("wb") as file:
-        file.write(data)
-        file.flush()
-        os.fsync(file.fileno())
-    temporary.replace(path)
+    """Write a file, whole or not at all."""
+    with atomic_path(path) as temporary:
+        temporary.write_bytes(data)
 
 
 def _to_json(item: SuiteItem) -> dict:
