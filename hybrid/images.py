@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import stat
 import struct
 import warnings
 import zlib
@@ -17,9 +18,9 @@ from jaxtyping import Shaped
 from PIL import ExifTags, Image, TiffImagePlugin, UnidentifiedImageError
 
 from classical.files import atomic_path
+from classical.tiff import MAX_PIXELS, read_tiff
 from hybrid.tiff_exif import append_exif, described, extra_tags
 
-MAX_PIXELS = 178_956_970  # half a gigabyte of RGB; Pillow's own limit against bombs
 _TIFF = (".tif", ".tiff")
 _FORMATS = {
     ".png": "PNG",
@@ -31,6 +32,8 @@ _FORMATS = {
     ".tiff": "TIFF",
 }
 SUFFIXES = tuple(_FORMATS)
+# read by their content; not what Pillow hands to other programs (EPS) or parses by trial
+_READABLE = [*_FORMATS.values(), "GIF", "PPM", "JPEG2000", "AVIF"]
 _SAVE_OPTIONS = {
     "JPEG": {"quality": 95, "subsampling": 0},
     "WEBP": {"quality": 95},
@@ -46,7 +49,6 @@ _ORIENTATIONS = {
     7: (True, (0, 1)),
     8: (True, (0,)),
 }
-_BROKEN = (OSError, ValueError, SyntaxError, EOFError, struct.error, zlib.error, KeyError)
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,7 +75,7 @@ def read_picture(path: str | os.PathLike[str], *, max_pixels: int = MAX_PIXELS) 
     """Read a picture file and turn it upright.
 
     Args:
-        path: PNG, JPEG, WebP, TIFF, BMP, or what else Pillow reads.
+        path: PNG, JPEG, WebP, TIFF, BMP, or another of the usual pictures; told by its content.
         max_pixels: Refuse larger pictures before decoding them.
 
     Raises:
@@ -82,24 +84,25 @@ def read_picture(path: str | os.PathLike[str], *, max_pixels: int = MAX_PIXELS) 
         ValueError: If it is no picture, is cut off, or is too large; the message is one line.
     """
     path = Path(path)
+    kind = path.stat().st_mode
+    if not stat.S_ISREG(kind) and not stat.S_ISDIR(kind):  # a pipe would be waited for
+        raise ValueError(f"{path}: not a regular file")
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # of Pillow, about size and odd metadata
             try:
-                with Image.open(path) as image:
+                with Image.open(path, formats=_READABLE) as image:
                     _check_size(image.width, image.height, max_pixels)
-                    return _read_open(path, image)
+                    return _read_open(path, image, max_pixels)
             except UnidentifiedImageError:
                 return _read_tiff_alone(path, max_pixels)
-    except (FileNotFoundError, PermissionError, IsADirectoryError):
+    except (FileNotFoundError, PermissionError, IsADirectoryError, MemoryError):
         raise
     except Image.DecompressionBombError:
         raise ValueError(f"{path}: more than {max_pixels} pixels") from None
-    except (tifffile.TiffFileError, IndexError):
-        raise ValueError(f"{path}: not a picture that can be read") from None
-    except _BROKEN as error:
+    except Exception as error:  # whatever a broken file makes a decoder raise
         reason = " ".join(str(error).split()) or type(error).__name__
-        raise ValueError(f"{path}: {reason}") from error
+        raise ValueError(f"{path}: {reason.replace(str(path), 'the file')}") from error
 
 
 def write_picture(path: str | os.PathLike[str], picture: Picture) -> None:
@@ -143,32 +146,39 @@ def _check_size(width: int, height: int, max_pixels: int) -> None:
 
 def _read_tiff_alone(path: Path, max_pixels: int) -> Picture:
     """A file that Pillow does not know: RGB of 32 bits a channel, or no picture."""
-    with tifffile.TiffFile(path) as file:
-        page = file.pages.first
-        _check_size(page.imagewidth, page.imagelength, max_pixels)
-        icc = page.iccprofile
+    pixels, icc = _deep_tiff(path, max_pixels)
     with path.open("rb") as stream:
         exif = Image.Exif()
         exif.load_from_fp(stream)
-        kept = described(exif)
-    return Picture(_deep_tiff(path), icc, kept)
+        return Picture(pixels, icc, _kept(exif, is_tiff=True))
 
 
-def _read_open(path: Path, image: Image.Image) -> Picture:
+def _read_open(path: Path, image: Image.Image, max_pixels: int) -> Picture:
     """Decode an opened file."""
     image.load()  # complains where the file is cut off
     exif = image.getexif()
     orientation = exif.pop(ExifTags.Base.Orientation, 1)
-    pixels, icc = _pixels(path, image), image.info.get("icc_profile")
+    pixels, icc = _pixels(path, image, max_pixels), image.info.get("icc_profile")
     if image.mode == "CMYK":
         icc = None  # of the inks, not of the RGB that they became
     swap, flips = _ORIENTATIONS.get(orientation, (False, ()))
     pixels = np.flip(pixels.swapaxes(0, 1) if swap else pixels, flips)
-    kept = described(exif) if image.format == "TIFF" else exif.tobytes() if len(exif) else None
+    kept = _kept(exif, is_tiff=image.format == "TIFF")
     return Picture(np.ascontiguousarray(pixels), icc, kept)
 
 
-def _pixels(path: Path, image: Image.Image) -> np.ndarray:
+def _kept(exif: Image.Exif, *, is_tiff: bool) -> bytes | None:
+    """EXIF as it can be written again; a picture is not refused because its EXIF is broken."""
+    try:
+        kept = described(exif) if is_tiff else exif.tobytes() if len(exif) else None
+        if kept is not None:
+            Image.Exif().load(kept)
+    except Exception:  # whatever broken tags make Pillow raise
+        return None
+    return kept
+
+
+def _pixels(path: Path, image: Image.Image, max_pixels: int) -> np.ndarray:
     """Pixels in their own depth, which Pillow knows for grey pictures only."""
     if image.format == "PNG" and image.mode in ("RGB", "RGBA") and _png_depth(path) == 16:
         deep = cv2.imread(str(path), cv2.IMREAD_UNCHANGED | cv2.IMREAD_IGNORE_ORIENTATION)
@@ -176,7 +186,7 @@ def _pixels(path: Path, image: Image.Image) -> np.ndarray:
             raise ValueError("a PNG of 16 bits that cannot be decoded")
         return cv2.cvtColor(deep, cv2.COLOR_BGR2RGB if deep.shape[2] == 3 else cv2.COLOR_BGRA2RGBA)
     if isinstance(image, TiffImagePlugin.TiffImageFile) and _tiff_depth(image) > 8:
-        return _deep_tiff(path)
+        return _deep_tiff(path, max_pixels)[0]
     return _plain_pixels(image)
 
 
@@ -208,19 +218,14 @@ def _tiff_depth(image: TiffImagePlugin.TiffImageFile) -> int:
     return max(bits) if isinstance(bits, tuple) else int(bits)
 
 
-def _deep_tiff(path: Path) -> np.ndarray:
-    """The first page, by tifffile."""
-    with tifffile.TiffFile(path) as file:
-        page = file.pages.first
-        pixels = page.asarray()
-        separate = pixels.ndim == 3 and pixels.shape[2] not in (1, 3, 4)
-    if separate and pixels.shape[0] in (3, 4):
-        pixels = np.moveaxis(pixels, 0, -1)
+def _deep_tiff(path: Path, max_pixels: int) -> tuple[np.ndarray, bytes | None]:
+    """The first page with its profile."""
+    pixels, icc = read_tiff(path, max_pixels=max_pixels)
     if pixels.dtype == np.float64:
         pixels = pixels.astype(np.float32)
     if pixels.dtype not in (np.uint8, np.uint16, np.float32):
         raise ValueError(f"a TIFF of {pixels.dtype} pixels")
-    return pixels
+    return pixels, icc
 
 
 def _write_by_pillow(path: Path, picture: Picture, kind: str) -> None:

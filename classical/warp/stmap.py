@@ -16,6 +16,7 @@ import numpy as np
 import tifffile
 
 from classical.files import atomic_path
+from classical.tiff import MAX_PIXELS, read_tiff
 from classical.warp.maps import OUTSIDE, WarpMaps
 
 _SUFFIXES = (".tif", ".tiff", ".exr")
@@ -60,8 +61,11 @@ def read_stmap(path: str | os.PathLike[str], source_width: int, source_height: i
     """
     suffix = _suffix(path)
     try:
-        pixels = _read_exr(Path(path)) if suffix == ".exr" else tifffile.imread(path)
-    except (tifffile.TiffFileError, RuntimeError, KeyError) as error:
+        if suffix == ".exr":
+            pixels = _read_exr(Path(path))
+        else:
+            pixels, _ = read_tiff(path, max_pixels=MAX_PIXELS)
+    except (RuntimeError, KeyError, ValueError) as error:
         raise ValueError(f"Expected a 32-bit RGB file, got {path}: {error}") from error
     if pixels.ndim != 3 or pixels.shape[2] < 3 or pixels.dtype != np.float32:
         raise ValueError(
@@ -87,12 +91,15 @@ def read_stmap_note(path: str | os.PathLike[str]) -> str:
     """
     try:
         if _suffix(path) == ".exr":
-            with _opened_exr(Path(path)) as file:
+            with _opened_exr(Path(path), header_only=True) as file:
                 return str(file.header().get(_NOTE, ""))
         with tifffile.TiffFile(path) as file:
             return file.pages.first.description
-    except (tifffile.TiffFileError, RuntimeError, IndexError) as error:
-        raise ValueError(f"Expected an ST-map, got {path}: {error}") from error
+    except OSError:
+        raise
+    except Exception as error:  # whatever a broken file makes the parsers raise
+        reason = " ".join(str(error).split()) or type(error).__name__
+        raise ValueError(f"Expected an ST-map, got {path}: {reason}") from error
 
 
 def is_stmap_name(path: str | os.PathLike[str]) -> bool:
@@ -118,16 +125,20 @@ def _write_exr(path: Path, pixels: np.ndarray, note: str) -> None:
 
 
 def _read_exr(path: Path) -> np.ndarray:
-    with _opened_exr(path) as file:
+    with _opened_exr(path, header_only=True) as file:
+        low, high = file.header()["dataWindow"]
+    if (int(high[0]) - int(low[0]) + 1) * (int(high[1]) - int(low[1]) + 1) > MAX_PIXELS:
+        raise ValueError(f"more than {MAX_PIXELS} pixels")
+    with _opened_exr(path, header_only=False) as file:
         channels = file.channels()
         return np.stack([channels[name].pixels for name in _CHANNELS], axis=-1)
 
 
-def _opened_exr(path: Path) -> Any:
+def _opened_exr(path: Path, *, header_only: bool) -> Any:
     OpenEXR = _open_exr()
     if not path.is_file():
         raise FileNotFoundError(f"No such file: {path}")
-    return OpenEXR.File(str(path), separate_channels=True)
+    return OpenEXR.File(str(path), separate_channels=True, header_only=header_only)
 
 
 def _open_exr() -> ModuleType:
