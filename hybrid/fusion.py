@@ -16,10 +16,10 @@ from numpy import ndarray
 
 from classical.fit import (
     FitConfig,
-    SolverConfig,
     VanishingConfig,
     fit_lens,
     of_belief,
+    of_belief_field,
 )
 from classical.lines import (
     Curve,
@@ -45,9 +45,9 @@ class HybridConfig:
         snaps: Curves of the heatmap lie on the picture's sub-pixel edges, not on its centre lines.
         adds_edges: Edges that the heatmap does not mark are curves too.
         believes: LaRecNet's lens is a belief beside a start.
-        doubt: Its standard deviations are widened so far: a network does worse on real pictures
-            than on those it was trained on.
-        redundancy: Bends that tell as much as one independent one, beside that belief.
+        field_doubt: The standard deviation of its field of view is widened so far, …
+        shape_doubt: … and those of the whole lens so far: a network does worse on real pictures
+            than on those it was trained on, and worst in the shape of the lens.
         has_vanishing: Orthogonal vanishing points help to fix the scale.
         longest: Line perception looks at the picture with this longest side, pixels.
     """
@@ -55,8 +55,8 @@ class HybridConfig:
     snaps: bool = True
     adds_edges: bool = True
     believes: bool = True
-    doubt: float = 2.5
-    redundancy: float = 2.0
+    field_doubt: float = 2.0
+    shape_doubt: float = 8.0
     has_vanishing: bool = True
     longest: int = 640
 
@@ -95,14 +95,16 @@ class HybridEstimator:
         if belief is not None:
             starts.append(belief.decode(np.zeros(8), width, height))
             if cfg.believes:
-                observations.append(of_belief(belief, _NETWORK, doubt=cfg.doubt))
+                observations += [
+                    of_belief_field(belief, _NETWORK, doubt=cfg.field_doubt),
+                    of_belief(belief, _NETWORK, doubt=cfg.shape_doubt),
+                ]
         fit = fit_lens(
             [self._curves(picture) for picture in pictures],
             width,
             height,
             config=FitConfig(
                 vanishing=VanishingConfig(seed=self._config.seed) if cfg.has_vanishing else None,
-                solver=SolverConfig(redundancy=cfg.redundancy),
             ),
             circles=circles,
             observations=observations,

@@ -12,7 +12,7 @@ from classical.fit.samples import CurveSamples, sample_curves
 from classical.fit.search import family_field, projection
 from classical.fit.solve import solve
 from classical.fit.straightness import straightness
-from classical.lines import Curve, ImageCircle
+from classical.lines import Curve
 
 WIDTH, HEIGHT = 640, 480
 LENS = KannalaBrandt(
@@ -288,20 +288,3 @@ def test_a_weak_bend_is_not_called_straight() -> None:
     assert fit.camera is not None
     assert "straight already" not in fit.reason
     assert aligned_error(fit.camera, truth) < 0.5
-
-
-def test_the_circle_brings_what_lines_hardly_tell() -> None:
-    """Few short lines leave the principal point open."""
-    vector = LENS.to_vector()
-    vector[7:] += [18.0, -12.0]
-    lens = type(LENS).from_vector(vector, WIDTH, HEIGHT)
-    curves = line_pictures(lens, 14, np.random.default_rng(2), noise=0.4)
-    spread = np.diag([2.0, 2.0, 0.005]) ** 2
-    known = ImageCircle(np.array([lens.u0, lens.v0]), 300.0, 1.0, spread, 6.0)
-    config = FitConfig(vanishing=None)
-    alone = fit_lens([curves], WIDTH, HEIGHT, config=config).camera
-    helped = fit_lens([curves], WIDTH, HEIGHT, config=config, circles=[known]).camera
-    assert alone is not None
-    assert helped is not None
-    off = [np.hypot(c.u0 - lens.u0, c.v0 - lens.v0) for c in (alone, helped)]
-    assert off[1] < 3.0 < off[0]

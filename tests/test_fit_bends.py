@@ -6,9 +6,17 @@ import pytest
 from classical.camera import KannalaBrandt
 from classical.fit import LensPrior, generic_prior
 from classical.fit.bends import BendConfig, Bends
-from classical.fit.observations import observed, of_belief, of_field, of_focal
+from classical.fit.observations import (
+    observed,
+    of_belief,
+    of_belief_field,
+    of_circles,
+    of_field,
+    of_focal,
+)
+from classical.fit.rounds import Known
 from classical.fit.samples import sample_curves
-from classical.lines import Curve
+from classical.lines import Curve, ImageCircle
 
 
 def straight_curves(rng, count=5):
@@ -79,3 +87,24 @@ def test_a_prior_keeps_its_gauge() -> None:
     assert isinstance(prior, LensPrior)
     assert prior.mean[5] == 320.0
     assert np.count_nonzero(prior.covariance[5]) == 1
+
+
+def test_an_image_circle_places_the_principal_point() -> None:
+    spread = np.diag([2.0, 2.0, 0.005]) ** 2
+    circle = ImageCircle(np.array([338.0, 228.0]), 300.0, 1.0, spread, 6.0)
+    seen = of_circles([circle], 640)
+    assert seen is not None
+    lens = KannalaBrandt.centred(np.array([0.8, 0.0, 0.0, 0.0, 0.0]), 640, 480)
+    before, after = Known().belief(lens), Known([seen]).belief(lens)
+    np.testing.assert_allclose(after.mean[7:], circle.centre, atol=1.0)
+    assert (np.sqrt(np.diag(after.covariance)[7:]) < 2.01).all()
+    assert (np.sqrt(np.diag(before.covariance)[7:]) > 10).all()
+
+
+def test_a_belief_of_the_field_says_nothing_of_the_shape() -> None:
+    belief = of_belief_field(generic_prior(0.8, 640, 480), "network")
+    assert belief.matrix.shape == (1, 9)
+    near = KannalaBrandt.centred(np.array([0.8, 0.016, -0.004, 0.0, 0.0]), 640, 480)
+    wide = KannalaBrandt.centred(np.array([0.4, 0.008, -0.002, 0.0, 0.0]), 640, 480)
+    assert belief.surprise(near) < 0.01
+    assert belief.surprise(wide) > belief.surprise(near)

@@ -3,6 +3,7 @@
 from classical.fit.fitted import fitted_curves as fitted_curves
 from classical.fit.observations import Observation as Observation
 from classical.fit.observations import of_belief as of_belief
+from classical.fit.observations import of_belief_field as of_belief_field
 from classical.fit.observations import of_field as of_field
 from classical.fit.observations import of_focal as of_focal
 from classical.fit.plumb_line import FitConfig as FitConfig

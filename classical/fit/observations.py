@@ -18,6 +18,8 @@ from classical.lines.image_circle import ImageCircle
 _M_V, _CENTRE = 6, (7, 8)  # of (k1..k5, m_u, m_v, u0, v0)
 _KNOWN_FIELD = 0.01  # relative deviation of what a user knows of field or focal length
 _ALIKE = 2.0  # observations of one kind err alike: together they count for so many
+_ODD = 2 * np.arange(5) + 1
+_RIM, _WIDEST = 0.8, 1.6  # half picture widths; radians
 _STUDENT = 4.0  # degrees of freedom of a belief that may be plainly wrong
 
 
@@ -92,6 +94,19 @@ def of_belief(belief: LensPrior, source: str, *, doubt: float = 1.0) -> Observat
     return Observation(source, _rows(FREE.tolist()), belief.mean[FREE], covariance, is_sure=False)
 
 
+def of_belief_field(belief: LensPrior, source: str, *, doubt: float = 1.0) -> Observation:
+    """What another estimate says of the field of view alone: r at the angle of its middle rim.
+
+    An estimate of the whole lens may err in the shape of r(θ) and still know how wide it is.
+    """
+    angles = np.linspace(0.0, _WIDEST, 400)
+    radii = np.maximum.accumulate(angles[:, None] ** _ODD @ belief.mean[:5])
+    row = np.zeros((1, 9))
+    row[0, :5] = float(np.interp(_RIM, radii, angles)) ** _ODD
+    spread = row @ belief.covariance @ row.T * doubt**2
+    return Observation(source, row, row @ belief.mean, spread, is_sure=False)
+
+
 def of_focal(focal: float, width: int) -> Observation:
     """A focal length in pixels: r'(0) = k1 m_u."""
     k1 = focal / (width / 2)
@@ -110,7 +125,7 @@ def of_field(fov: float, radius: float, width: int, source: str) -> Observation:
         source: What it comes from.
     """
     matrix = np.zeros((1, 9))
-    matrix[0, :5] = (fov / 2) ** (2 * np.arange(5) + 1)
+    matrix[0, :5] = (fov / 2) ** _ODD
     value = radius / (width / 2)
     return Observation(source, matrix, np.array([value]), np.array([[(_KNOWN_FIELD * value) ** 2]]))
 

@@ -44,7 +44,7 @@ from hybrid.config import RectifyConfig
 )
 @options.camera
 @options.camera_name
-@options.method
+@options.lens
 @options.frame
 @click.option("--workers", type=click.IntRange(1), help="Processes; default: one for each core.")
 @click.option(

@@ -40,7 +40,7 @@ from hybrid.result import Calibration
     help="The camera file to write, e.g. camera.json.",
 )
 @options.kind
-@options.method
+@options.lens
 @options.frame
 @options.overwrite
 @options.as_json("the result as one JSON object")

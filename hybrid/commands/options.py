@@ -38,6 +38,12 @@ class SizeType(click.ParamType):
         return width, height
 
 
+def _as_text(
+    _context: click.Context, _parameter: click.Parameter, value: Path | None
+) -> str | None:
+    return None if value is None else str(value)
+
+
 paths = click.argument("paths", nargs=-1, required=True, type=EXISTING)
 method = click.option(
     "--method",
@@ -45,6 +51,9 @@ method = click.option(
     default=DEFAULT_METHOD,
     show_default=True,
     help="How the lens is found.",
+)
+weights = click.option(
+    "--weights", type=EXISTING_FILE, callback=_as_text, help="Weights of the networks to use."
 )
 camera = click.option(
     "--camera", type=EXISTING_FILE, help="Use this camera file instead of estimating the lens."
@@ -69,6 +78,13 @@ def as_json(what: str) -> Callable[[Command], Command]:
     return click.option("--json", "as_json", is_flag=True, help=f"Print {what}.")
 
 
+def lens(command: Command) -> Command:
+    """The options that say how the lens is found and what is known of it."""
+    for option in reversed((method, weights, *_KNOWN)):
+        command = option(command)
+    return command
+
+
 def frame(command: Command) -> Command:
     """The options that choose what the straight picture shows."""
     for option in reversed(_FRAME):
@@ -81,4 +97,10 @@ _FRAME = (
     click.option("--focal", type=float, help="Focal length of the result, pixels."),
     click.option("--balance", type=float, help="0: no empty pixel (default); 1: nothing lost."),
     click.option("--size", type=SizeType(), help="Size of the result, e.g. 1280x960."),
+)
+
+_KNOWN = (
+    click.option("--camera-fov", type=float, help="Field of view of the photograph, if known."),
+    click.option("--camera-focal", type=float, help="Its focal length in pixels, if known."),
+    click.option("--circle-fov", type=float, help="Field of view of its image circle, if known."),
 )

@@ -45,7 +45,7 @@ from hybrid.pipeline import Rectifier
     type=options.NEW_FOLDER,
     help="Folder for the straight pictures and their NAME.camera.json; made if there is none.",
 )
-@options.method
+@options.lens
 @options.camera
 @options.camera_name
 @options.kind

@@ -56,7 +56,7 @@ _ENCODING = (
 @options.kind
 @click.option("--preview", type=options.NEW_FILE, help="Write one straight frame as a picture.")
 @click.option("--at", type=click.FloatRange(0), default=0.0, help="Second of the preview.")
-@options.method
+@options.lens
 @options.frame
 @_ENCODING[0]
 @_ENCODING[1]
