@@ -1,0 +1,112 @@
+"""The hybrid on pictures whose lens is known: a shipped render, and the example."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from classical.camera import KannalaBrandt
+from eval.metrics import aligned_error
+from hybrid import Rectifier, RectifyConfig, read_picture
+from hybrid.config import METHOD_VARIANTS
+from hybrid.fusion import VARIANTS
+
+EXAMPLE = Path(__file__).parents[1] / "examples" / "room.jpg"
+
+
+@pytest.fixture(scope="module")
+def room():
+    return read_picture(EXAMPLE).pixels
+
+
+@pytest.fixture(scope="module")
+def truth() -> KannalaBrandt:
+    known = json.loads(EXAMPLE.with_name("room.truth.json").read_text())
+    return KannalaBrandt(
+        np.array(known["k"]),
+        *(known[name] for name in ("m_u", "m_v", "u0", "v0", "width", "height")),
+    )
+
+
+@pytest.fixture(scope="module")
+def hybrid():
+    return Rectifier(RectifyConfig(method="hybrid"))
+
+
+@pytest.fixture(scope="module")
+def found(hybrid, room):
+    return hybrid.rectify(room)
+
+
+def error(camera: KannalaBrandt | None, truth: KannalaBrandt) -> float:
+    assert camera is not None
+    return aligned_error(camera, truth, width=truth.width, height=truth.height, spacing=4.0)
+
+
+def test_the_example_becomes_straight(found, truth):
+    assert found.status == "ok"
+    assert error(found.camera, truth) < 1.0
+    assert found.camera.k[0] * found.camera.m_u == pytest.approx(truth.k[0] * truth.m_u, rel=0.03)
+
+
+def test_the_same_picture_gives_the_same_bits(hybrid, found, room):
+    again = hybrid.rectify(room)
+    np.testing.assert_array_equal(again.camera.to_vector(), found.camera.to_vector())
+    np.testing.assert_array_equal(again.image, found.image)
+
+
+@pytest.mark.parametrize("turn", ["quarter", "mirror"])
+def test_a_turned_picture_has_the_same_lens(hybrid, found, room, turn):
+    """The radial function, as far as the picture shows it, in pixels of a 320 frame."""
+    picture = np.rot90(room) if turn == "quarter" else room[:, ::-1]
+    camera = hybrid.rectify(np.ascontiguousarray(picture)).camera
+    theta = np.linspace(0.1, 1.0, 19)
+    radii = [
+        lens.radius(theta) * lens.m_u * 320 / found.camera.width for lens in (camera, found.camera)
+    ]
+    scale = (radii[0] @ radii[1]) / (radii[0] @ radii[0])
+    assert np.abs(radii[0] * scale - radii[1]).max() < 0.5
+
+
+@pytest.mark.parametrize("variant", sorted(VARIANTS))
+def test_each_variant_finds_a_lens(room, truth, variant):
+    camera = Rectifier(RectifyConfig(method="hybrid", variant=variant)).calibrate([room]).camera
+    assert error(camera, truth) < 6.0
+
+
+def test_variants_of_the_configuration_are_those_that_exist():
+    assert METHOD_VARIANTS["hybrid"] == tuple(VARIANTS)
+    with pytest.raises(ValueError, match="Expected a variant of hybrid"):
+        RectifyConfig(method="hybrid", variant="2014")
+
+
+@pytest.mark.parametrize("method", ["hybrid", "classical"])
+def test_a_focal_length_given_is_kept(room, truth, method):
+    focal = truth.k[0] * truth.m_u * 1.1  # wrong by so much that only the user can have said it
+    config = RectifyConfig(
+        method=method, camera_focal=focal, variant="edges" if method == "hybrid" else None
+    )
+    found = Rectifier(config).calibrate([room])
+    assert found.camera is not None
+    assert found.camera.k[0] * found.camera.m_u == pytest.approx(focal, rel=0.08)
+    if method == "hybrid":
+        assert found.quality.scale_source == "the focal length given"
+
+
+@pytest.mark.parametrize("name", ["camera_focal", "camera_fov", "circle_fov"])
+def test_impossible_knowledge_is_refused(name):
+    with pytest.raises(ValueError, match=f"Expected {name}"):
+        RectifyConfig(**{name: -1.0})
+
+
+def test_a_circle_that_is_not_there_is_refused(room):
+    with pytest.raises(ValueError, match="Expected an image circle"):
+        Rectifier(RectifyConfig(method="classical", circle_fov=180.0)).calibrate([room])
+
+
+@pytest.mark.parametrize("level", [0, 128])
+def test_a_picture_of_nothing_fails(hybrid, level):
+    found = hybrid.rectify(np.full((240, 320, 3), level, np.uint8), throw=False)
+    assert found.status == "failed"
+    assert found.camera is None
