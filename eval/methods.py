@@ -16,6 +16,7 @@ class Method:
         knows_focal: False where the model has no focal length, only a stated convention: its
             focal error says nothing and is not shown.
         together: Sees all pictures of a camera at once and gives one answer for all of them.
+        variant: `RectifyConfig.variant`, None for the whole method.
     """
 
     tag: str
@@ -23,11 +24,13 @@ class Method:
     color: str
     knows_focal: bool = True
     together: bool = False
+    variant: str | None = None
 
     @property
     def estimator(self) -> str:
         """Name of the estimator behind it, `RectifyConfig.method`."""
-        return self.tag.removesuffix(_TOGETHER)
+        tag = self.tag.removesuffix(_TOGETHER)
+        return tag if self.variant is None else tag.removesuffix(f"-{self.variant}")
 
 
 IDENTITY = Method("identity", "Left alone", "#7f7f7f", knows_focal=False)
@@ -49,7 +52,15 @@ TOGETHER = (
 )
 """Asked for by name only; they know more than the others: which pictures share a lens."""
 
-_BY_TAG = {method.tag: method for method in (*METHODS, *TOGETHER)}
+STEPS = (
+    Method("hybrid-start", "Centre lines, start of the network", "#9e9ac8", variant="start"),
+    Method("hybrid-prior", "… and its belief", "#807dba", variant="prior"),
+    Method("hybrid-snapped", "… and sub-pixel edges", "#6a51a3", variant="snapped"),
+    Method("hybrid-edges", "… and the picture's own edges", "#4a1486", variant="edges"),
+)
+"""The hybrid built up step by step; the whole adds vanishing points. Asked for by name only."""
+
+_BY_TAG = {method.tag: method for method in (*METHODS, *TOGETHER, *STEPS)}
 
 
 def method_of(tag: str) -> Method:

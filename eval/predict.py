@@ -137,7 +137,10 @@ def settings_of(method: Method, *, seed: int) -> dict[str, Any]:
         return settings
     from hybrid import RectifyConfig
 
-    RectifyConfig(method=method.estimator, seed=seed)  # refuses what it does not know
+    # refuses what it does not know
+    RectifyConfig(method=method.estimator, seed=seed, variant=method.variant)
+    if method.variant is not None:
+        settings["variant"] = method.variant
     if name := _WEIGHTS.get(method.estimator):
         from learned.weights import packaged
 

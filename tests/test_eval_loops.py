@@ -11,7 +11,7 @@ from classical.camera import Division, KannalaBrandt
 from eval.cases import Case, Suite
 from eval.folder import RunFolder, claim_folder
 from eval.methods import METHODS, Method, method_of, parse_methods
-from eval.predict import predict_suite
+from eval.predict import predict_suite, settings_of
 from eval.prediction import Prediction
 from eval.score import score_suite
 
@@ -201,3 +201,10 @@ def test_the_field_of_view_of_a_case_by_hand():
     camera = KannalaBrandt.centred(np.array([1.0, 0, 0, 0, 0]), 320, 240)
     case = Case("a", Path("a.png"), camera, "one")
     assert case.fov == pytest.approx(np.degrees(2.0))  # one radian to each side
+
+
+def test_steps_of_the_hybrid_are_methods_of_their_own() -> None:
+    (step,) = parse_methods("hybrid-snapped")
+    assert step.estimator == "hybrid"
+    assert settings_of(step, seed=3)["variant"] == "snapped"
+    assert "variant" not in settings_of(parse_methods("hybrid")[0], seed=3)
