@@ -23,7 +23,7 @@ _TITLE = 34  # pixels above a panel
 def side_by_side(
     image: Shaped[np.ndarray, "..."], result: Rectification, *, height: int = 480
 ) -> UInt8[np.ndarray, "h w 3"]:
-    """Lay out input, curves, result and numbers in one row at equal height.
+    """Lay out input, heatmap if there is one, curves, result and numbers in one row.
 
     Args:
         image: The picture that was rectified.
@@ -38,6 +38,7 @@ def side_by_side(
     curves = [replace(curve, points=curve.points * factor) for curve in result.curves]
     columns = [
         _panel("input", small),
+        *_heatmap(result, small),
         _panel("curves found in it", draw_curves(small, curves)),
         _panel("rectified", _at_height(to_rgb8(result.image), height)),
         _numbers(result, height),
@@ -83,6 +84,17 @@ def describe_camera(camera: KannalaBrandt) -> list[str]:
         f"cx = {K[0, 2]:.1f}  cy = {K[1, 2]:.1f}",
         *(f"D{i + 1} = {value:+.5f}" for i, value in enumerate(D)),
     ]
+
+
+def _heatmap(result: Rectification, picture: np.ndarray) -> list[np.ndarray]:
+    """The heatmap's panel, over a dim picture; none without a heatmap."""
+    if result.heatmap is None:
+        return []
+    size = (picture.shape[1], picture.shape[0])
+    heat = cv2.resize(result.heatmap.astype(np.float32), size)[..., None]
+    colour = cv2.applyColorMap((heat * 255).astype(np.uint8), cv2.COLORMAP_INFERNO)[..., ::-1]
+    mixed = (1 - heat) * 0.35 * picture + heat * colour
+    return [_panel("lines the network sees", mixed.astype(np.uint8))]
 
 
 def _at_height(pixels: np.ndarray, height: int) -> np.ndarray:

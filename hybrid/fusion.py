@@ -8,10 +8,10 @@ Importing this module loads torch.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import UInt8
+from jaxtyping import Float, UInt8
 from numpy import ndarray
 
 from classical.fit import (
@@ -99,8 +99,11 @@ class HybridEstimator:
                     of_belief_field(belief, _NETWORK, doubt=cfg.field_doubt),
                     of_belief(belief, _NETWORK, doubt=cfg.shape_doubt),
                 ]
+        heatmaps = tuple(
+            self._predictor.lines(picture, longest=cfg.longest).lineness for picture in pictures
+        )
         fit = fit_lens(
-            [self._curves(picture) for picture in pictures],
+            [self._curves(*pair) for pair in zip(pictures, heatmaps, strict=True)],
             width,
             height,
             config=FitConfig(
@@ -110,14 +113,14 @@ class HybridEstimator:
             observations=observations,
             starts=starts,
         )
-        return estimate_from_fit(fit)
+        return replace(estimate_from_fit(fit), heatmaps=heatmaps)
 
-    def _curves(self, picture: UInt8[ndarray, "h w 3"]) -> list[Curve]:
+    def _curves(
+        self, picture: UInt8[ndarray, "h w 3"], heatmap: Float[ndarray, "hh ww"]
+    ) -> list[Curve]:
         """Edges of the picture, and curves of the heatmap that are not among them."""
-        cfg = self._hybrid
-        lines = self._predictor.lines(picture, longest=cfg.longest)
-        if not cfg.snaps:
-            return centre_curves(lines.lineness, picture.shape[1], picture.shape[0])
-        if not cfg.adds_edges:
-            return curves_from_heatmap(lines.lineness, picture)
-        return curves_from_both(lines.lineness, picture)
+        if not self._hybrid.snaps:
+            return centre_curves(heatmap, picture.shape[1], picture.shape[0])
+        if not self._hybrid.adds_edges:
+            return curves_from_heatmap(heatmap, picture)
+        return curves_from_both(heatmap, picture)

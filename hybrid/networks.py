@@ -45,10 +45,11 @@ class LearnedEstimator:
             covariance=belief.covariance,
             predicted_error_px=error,
         )
+        heatmaps = tuple(p.lines.lineness for p in predictions if p.lines is not None)
         if error <= _TRUSTED_PX:
-            return Calibration(camera, curves, quality, "ok", "the network is sure")
+            return Calibration(camera, curves, quality, "ok", "the network is sure", heatmaps)
         reason = f"the network is unsure: expected error {error:.1f} px"
-        return Calibration(camera, curves, quality, "degraded", reason)
+        return Calibration(camera, curves, quality, "degraded", reason, heatmaps)
 
 
 class RongEstimator:

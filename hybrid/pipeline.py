@@ -164,6 +164,7 @@ def _warped(image: np.ndarray, found: Calibration, config: RectifyConfig) -> Rec
         found.quality,
         found.status,
         found.reason,
+        _heatmap(found),
     )
 
 
@@ -171,7 +172,13 @@ def _untouched(image: np.ndarray, found: Calibration, status: Status, reason: st
     """The picture as it is."""
     valid = np.ones(image.shape[:2], bool)
     curves = found.curves[0]
-    return Rectification(image, valid, None, None, curves, found.quality, status, reason)
+    return Rectification(
+        image, valid, None, None, curves, found.quality, status, reason, _heatmap(found)
+    )
+
+
+def _heatmap(found: Calibration) -> np.ndarray | None:
+    return found.heatmaps[0] if found.heatmaps else None
 
 
 def straight_target(camera: KannalaBrandt, config: RectifyConfig) -> Pinhole:

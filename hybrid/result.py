@@ -56,6 +56,8 @@ class Calibration:
         quality: How far to trust the camera.
         status: `ok`, `degraded` (use with care) or `failed`.
         reason: Why, in words.
+        heatmaps: Where line perception sees lines in each picture, in [0, 1] and of any size; empty
+            where the method has none.
     """
 
     camera: KannalaBrandt | None
@@ -63,6 +65,7 @@ class Calibration:
     quality: Quality
     status: Status
     reason: str
+    heatmaps: tuple[Float[np.ndarray, "_ _"], ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,6 +82,8 @@ class Rectification:
         quality: How far to trust the camera.
         status: `ok`, `degraded` (use with care) or `failed`.
         reason: Why, in words.
+        heatmap: Where line perception sees lines in the input, in [0, 1] and of any size, or None
+            where the method has none.
     """
 
     image: Shaped[np.ndarray, "..."]
@@ -89,3 +94,4 @@ class Rectification:
     quality: Quality
     status: Status
     reason: str
+    heatmap: Float[np.ndarray, "_ _"] | None = None
