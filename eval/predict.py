@@ -16,7 +16,7 @@ from eval.cases import Case, Suite, read_picture
 from eval.folder import RunFolder
 from eval.methods import IDENTITY, Method
 from eval.prediction import Prediction
-from hybrid.pool import ordered_map
+from learned.pool import ordered_map
 
 Predictor = Callable[[Sequence[UInt8[ndarray, "h w 3"]]], list[Prediction]]
 """Takes photographs of one lens and answers each."""

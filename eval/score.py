@@ -41,7 +41,7 @@ from eval.metrics import (
     rectified,
 )
 from eval.prediction import Estimate, Prediction
-from hybrid.pool import ordered_map
+from learned.pool import ordered_map
 
 SCORE_VERSION = 1
 """Raised whenever a metric changes; older scores are then made again."""

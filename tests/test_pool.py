@@ -4,7 +4,7 @@ import os
 
 import pytest
 
-from hybrid.pool import ordered_map
+from learned.pool import ordered_map
 
 
 def tasks() -> list[str]:

@@ -16,7 +16,7 @@ from hybrid.batch.manifest import Manifest
 from hybrid.batch.work import LENSES, Fields, Task, Workplace, classified, find_lens, straighten
 from hybrid.camera_files import read_camera
 from hybrid.config import RectifyConfig
-from hybrid.pool import WorkPool, processor_count
+from learned.pool import WorkPool, processor_count
 
 _DONE = ("ok", "degraded")
 

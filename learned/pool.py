@@ -14,10 +14,9 @@ from concurrent.futures.process import BrokenProcessPool
 from contextlib import ExitStack, contextmanager
 from functools import partial
 from importlib import import_module
+from importlib.util import find_spec
 from types import ModuleType, TracebackType
 from typing import Any, TypeVar
-
-import cv2
 
 Task = TypeVar("Task")
 Result = TypeVar("Result")
@@ -132,7 +131,8 @@ def ordered_map(
 
 def _begin() -> None:
     """Make a worker calm: one thread, no say in Ctrl-C, and no life after its parent's death."""
-    cv2.setNumThreads(1)
+    if find_spec("cv2") is not None:
+        import_module("cv2").setNumThreads(1)
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     threading.Thread(target=_die_with_parent, daemon=True).start()
 
