@@ -54,6 +54,11 @@ def remove_leftovers(folder: Path) -> None:
             shutil.rmtree(entry, ignore_errors=True)
 
 
+def is_temporary(name: str) -> bool:
+    """True for the name of a folder in which a file is being written."""
+    return name.startswith(_PREFIX)
+
+
 def _host() -> str:
     return re.sub(r"[^A-Za-z0-9]", "", platform.node())[:20]
 

@@ -90,9 +90,10 @@ def claim_folder(
         for key in ("methods", "origins"):  # what is there keeps its origin
             config[key] = config[key] | saved[key]
     places = [folder.root / "predictions" / method.tag for method in methods]
-    for place in (*places, folder.root / "scores"):
+    for place in (*places, folder.root / "scores", folder.gallery):
         place.mkdir(parents=True, exist_ok=True)
         remove_leftovers(place)
+    remove_leftovers(folder.root)
     with atomic_path(folder.config) as temporary:
         temporary.write_text(json.dumps(config, indent=1, sort_keys=True), encoding="utf-8")
     return config

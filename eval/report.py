@@ -10,7 +10,7 @@ import jinja2
 import numpy as np
 from markupsafe import Markup
 
-from classical.files import atomic_path
+from classical.files import atomic_path, remove_leftovers
 from eval import plots, published
 from eval.export import score_rows, summary_rows, to_csv
 from eval.folder import RunFolder
@@ -70,6 +70,7 @@ def write_report(
         "thresholds": plots.thresholds_text(),
     }
     target.mkdir(parents=True, exist_ok=True)
+    remove_leftovers(target)
     environment = jinja2.Environment(
         loader=jinja2.FileSystemLoader(_TEMPLATES),
         autoescape=jinja2.select_autoescape(["html"]),

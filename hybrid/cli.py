@@ -8,10 +8,14 @@ stderr: exit code 2 for misuse, 1 for something that failed, 130 after Ctrl-C.
 from __future__ import annotations
 
 import logging
+import os
 import sys
 from importlib.metadata import EntryPoint, entry_points
+from pathlib import Path
 
 import click
+
+from classical.files import is_temporary
 
 COMMAND_GROUP = "straightlens.commands"
 MISUSE, FAILURE, INTERRUPTED = 2, 1, 130
@@ -78,9 +82,21 @@ def run(arguments: list[str] | None = None) -> int:
         return _complain("straightlens", "interrupted", INTERRUPTED)
     except BrokenPipeError:
         return FAILURE
-    except (OSError, ValueError) as error:
+    except OSError as error:
+        return _complain("straightlens", _words_of(error), FAILURE)
+    except ValueError as error:
         return _complain("straightlens", str(error), FAILURE)
     return code if isinstance(code, int) else 0
+
+
+def _words_of(error: OSError) -> str:
+    """File and reason, without the number and without the temporary folder that a file began in."""
+    if not error.strerror:
+        return str(error)
+    if error.filename is None:
+        return error.strerror
+    parts = Path(os.fsdecode(error.filename)).parts
+    return f"{Path(*(part for part in parts if not is_temporary(part)))}: {error.strerror}"
 
 
 def _complain(name: str, message: str, code: int) -> int:
@@ -91,6 +107,8 @@ def _complain(name: str, message: str, code: int) -> int:
 
 def main() -> None:
     """Entry point of the script `straightlens`."""
-    # what tifffile logs about a broken file is in the error that it raises, too
-    logging.getLogger("tifffile").setLevel(logging.CRITICAL)
+    # what decoders log about a broken file is in the error that they raise, too
+    for name in ("PIL", "tifffile"):
+        logging.getLogger(name).setLevel(logging.CRITICAL)
+    os.environ.setdefault("OPENCV_LOG_LEVEL", "SILENT")
     sys.exit(run())

@@ -115,7 +115,7 @@ def distort_maps(camera: AnyCamera, target: Pinhole) -> WarpMaps:
     return _cache.get(("distort", camera, target), lambda: _maps(target, camera))
 
 
-_cache: MapCache[WarpMaps] = MapCache(max_bytes=512 << 20)
+_cache: MapCache[WarpMaps] = MapCache(max_bytes=128 << 20)
 
 
 def _maps(source: AnyCamera, new: AnyCamera) -> WarpMaps:
