@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -44,9 +45,9 @@ def pictures(paths: Iterable[Path]) -> list[Path]:
 
 def refuse_inputs(outputs: Sequence[Path], inputs: Sequence[Path]) -> None:
     """Misuse if a file to be written is one that is read."""
-    read = {path.resolve() for path in inputs}
+    read = {os.path.realpath(path) for path in inputs}  # unlike resolve, it bears loops of links
     for path in outputs:
-        if path.resolve() in read:
+        if os.path.realpath(path) in read:
             raise usage_error(f"{path} is an input; choose another --out")
 
 

@@ -27,6 +27,7 @@ FORMAT = "straightlens-weights-1"
 FOLDER = Path(__file__).parent
 _NAMES: dict[type, str] = {LaRecNet: "larecnet", LinePerception: "dlp", RongNet: "rong"}
 _CONFIGS: dict[type, type] = {LaRecNet: LarecnetCfg, LinePerception: DlpCfg, RongNet: RongCfg}
+_SHOWN = 300  # characters of what is wrong
 _EXACT = ("parameters_of_lens", "values", "running_", "temperature")
 
 
@@ -111,16 +112,21 @@ def load_weights(path: Path, kind: type[Network]) -> Loaded[Network]:
     """
     if not path.exists():
         raise FileNotFoundError(f"expected a weights file, got {path}, which is not there")
-    tensors, config, card = _read(path, kind)
-    network = kind(from_json(_CONFIGS[kind], config))
-    network.load_state_dict(tensors)
+    tensors, metadata = _read(path, kind)
+    try:
+        card = json.loads(metadata["card"])
+        network = kind(from_json(_CONFIGS[kind], metadata["config"]))
+        network.load_state_dict(tensors)
+    except (AttributeError, KeyError, RuntimeError, TypeError, ValueError) as error:
+        reason = " ".join(str(error).split())[:_SHOWN]
+        raise ValueError(f"expected weights of {_NAMES[kind]} in {path}: {reason}") from error
     return Loaded(network.eval(), card)
 
 
-def _read(path: Path, kind: type) -> tuple[dict[str, Tensor], str, dict[str, Any]]:
+def _read(path: Path, kind: type) -> tuple[dict[str, Tensor], dict[str, str]]:
     beside = path.with_suffix(".sha256")
     if beside.exists():
-        expected, got = beside.read_text().split()[0], checksum(path)
+        expected, got = beside.read_text().partition(" ")[0].strip(), checksum(path)
         if expected != got:
             raise ValueError(f"expected checksum {expected} of {path.name}, got {got}")
     try:
@@ -133,7 +139,7 @@ def _read(path: Path, kind: type) -> tuple[dict[str, Tensor], str, dict[str, Any
         found = (metadata.get("format"), metadata.get("kind"))
         raise ValueError(f"expected {FORMAT} of {_NAMES[kind]}, got {found} in {path}")
     exact = {n: t.float() if t.dtype == torch.float16 else t for n, t in tensors.items()}
-    return exact, metadata["config"], json.loads(metadata["card"])
+    return exact, metadata
 
 
 def _stored(name: str, value: Tensor) -> Tensor:

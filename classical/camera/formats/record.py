@@ -9,6 +9,7 @@ from __future__ import annotations
 import json
 import math
 import os
+import stat
 from collections.abc import Iterator, Mapping
 from functools import cached_property
 from pathlib import Path
@@ -137,12 +138,14 @@ def read_content(path: str | os.PathLike[str]) -> Content:
 
     Raises:
         FileNotFoundError: If there is none.
-        ValueError: If it is too large or no text.
+        ValueError: If it is too large, no text or no regular file.
     """
     path = Path(path)
-    size = path.stat().st_size
-    if size > MAX_BYTES:
-        raise ValueError(f"not a camera file: {size} bytes")
+    told = path.stat()
+    if not stat.S_ISREG(told.st_mode):  # a pipe would be waited for
+        raise ValueError("not a camera file: not a regular file")
+    if told.st_size > MAX_BYTES:
+        raise ValueError(f"not a camera file: {told.st_size} bytes")
     try:
         return Content(path.read_text(encoding="utf-8"))
     except UnicodeDecodeError:
