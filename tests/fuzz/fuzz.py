@@ -48,10 +48,11 @@ def main() -> None:
             "-rss_limit_mb=3000",
             "-max_len=65536",
         ]
-        atheris.Setup(
-            [sys.argv[0], *options, *sys.argv[1:], str(corpus)],
-            lambda data: target(data, here) and None,
-        )
+
+        def one_input(data: bytes) -> None:
+            target(data, here)
+
+        atheris.Setup([sys.argv[0], *options, *sys.argv[1:], str(corpus)], one_input)
         atheris.Fuzz()
 
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 import io
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import tifffile
@@ -127,14 +128,21 @@ def _pictures(folder: Path) -> list[bytes]:
                 continue  # this format knows no such mode
             found.append(stream.getvalue())
     rng = np.random.default_rng(0)
-    for dtype in ("uint16", "float32"):
-        for options in ({}, {"compression": "zlib"}, {"planarconfig": "separate"}):
-            stream = io.BytesIO()
-            shape = (3, 7, 9) if "planarconfig" in options else (7, 9, 3)
-            pixels = (rng.random(shape) * (60000 if dtype == "uint16" else 1)).astype(dtype)
-            tifffile.imwrite(stream, pixels, photometric="rgb", **options)
-            found.append(stream.getvalue())
+    for scale, dtype in ((60000, "uint16"), (1, "float32")):
+        pixels = (rng.random((7, 9, 3)) * scale).astype(dtype)
+        planes = np.moveaxis(pixels, -1, 0).copy()
+        found += [
+            _tiff(pixels),
+            _tiff(pixels, compression="zlib"),
+            _tiff(planes, planarconfig="separate"),
+        ]
     return found
+
+
+def _tiff(pixels: np.ndarray, **options: Any) -> bytes:
+    stream = io.BytesIO()
+    tifffile.imwrite(stream, pixels, photometric="rgb", **options)
+    return stream.getvalue()
 
 
 def _cameras(folder: Path) -> list[bytes]:
