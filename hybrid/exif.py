@@ -36,14 +36,19 @@ def straight_exif(exif: bytes | None, camera: KannalaBrandt, target: Pinhole) ->
     data = Image.Exif()
     try:
         data.load(exif)
-        _update(data, camera, target)
-        return data.tobytes()
+        return _updated(data, camera, target).tobytes()
     except _BROKEN:
         return exif
 
 
-def _update(data: Image.Exif, camera: KannalaBrandt, target: Pinhole) -> None:
-    details: dict[int, Any] = data.get_ifd(ExifTags.IFD.Exif)
+def _updated(data: Image.Exif, camera: KannalaBrandt, target: Pinhole) -> Image.Exif:
+    """A copy without the thumbnail, for it is no part of what is iterated over."""
+    out = Image.Exif()
+    for tag, value in data.items():
+        out[tag] = value
+    if ExifTags.IFD.GPSInfo in data:
+        out[ExifTags.IFD.GPSInfo] = dict(data.get_ifd(ExifTags.IFD.GPSInfo))
+    details: dict[int, Any] = dict(data.get_ifd(ExifTags.IFD.Exif))
     base = ExifTags.Base
     name = str(details.get(base.LensModel, "")).strip("\0 ")
     if _RECTILINEAR not in name:
@@ -55,4 +60,5 @@ def _update(data: Image.Exif, camera: KannalaBrandt, target: Pinhole) -> None:
         zoom = (target.focal_u / target.width) / (camera.k[0] * camera.m_u / camera.width)
         details[base.FocalLength] = float(details[base.FocalLength]) * float(zoom)
     details[base.ExifImageWidth], details[base.ExifImageHeight] = target.width, target.height
-    data.get_ifd(ExifTags.IFD.IFD1).clear()
+    out[ExifTags.IFD.Exif] = details
+    return out

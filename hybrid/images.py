@@ -95,6 +95,8 @@ def read_picture(path: str | os.PathLike[str], *, max_pixels: int = MAX_PIXELS) 
                     _check_size(image.width, image.height, max_pixels)
                     return _read_open(path, image, max_pixels)
             except UnidentifiedImageError:
+                if not _begins_as_tiff(path):
+                    raise ValueError("not a picture that can be read") from None
                 return _read_tiff_alone(path, max_pixels)
     except (FileNotFoundError, PermissionError, IsADirectoryError, MemoryError):
         raise
@@ -135,6 +137,11 @@ def write_picture(path: str | os.PathLike[str], picture: Picture) -> None:
             _write_deep_png(temporary, picture)
         else:
             _write_deep_tiff(temporary, picture)
+
+
+def _begins_as_tiff(path: Path) -> bool:
+    with path.open("rb") as file:
+        return file.read(4) in (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
 
 
 def _check_size(width: int, height: int, max_pixels: int) -> None:
