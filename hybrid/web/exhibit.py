@@ -46,12 +46,10 @@ class Exhibit:
     Attributes:
         picture: As it was uploaded, upright.
         found: Its lens, or None before it was looked for.
-        heatmap: Where the network sees lines, 0 to 1, of any size; None where no network looked.
     """
 
     picture: Picture
     found: Calibration | None = None
-    heatmap: Float[np.ndarray, "h w"] | None = None
 
     @property
     def width(self) -> int:
@@ -67,6 +65,12 @@ class Exhibit:
     def camera(self) -> KannalaBrandt | None:
         """The lens, if it was found."""
         return None if self.found is None else self.found.camera
+
+    @property
+    def heatmap(self) -> Float[np.ndarray, "_ _"] | None:
+        """Where the network sees lines, 0 to 1, of any size; None where no network looked."""
+        heatmaps = () if self.found is None else self.found.heatmaps
+        return heatmaps[0] if heatmaps else None
 
     @cached_property
     def preview(self) -> UInt8[np.ndarray, "h w 3"]:

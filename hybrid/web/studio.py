@@ -10,7 +10,6 @@ from hybrid.config import RectifyConfig
 from hybrid.methods import check_method
 from hybrid.pipeline import Rectifier
 from hybrid.web.exhibit import Exhibit
-from hybrid.web.heatmap import heatmap_of
 from hybrid.web.store import Store
 from hybrid.web.upload import Limits, picture_from_bytes
 
@@ -65,7 +64,6 @@ class Studio:
         exhibit = self.exhibit(name)
         with self._busy:
             found = self._rectifier(method).calibrate([exhibit.picture.pixels])
-            heatmap = heatmap_of(exhibit.preview, method)
-        exhibit = replace(exhibit, found=found, heatmap=heatmap)
+        exhibit = replace(exhibit, found=found)
         self._store.replace(name, exhibit)
         return exhibit
