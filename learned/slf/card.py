@@ -23,10 +23,12 @@ def write_card(folder: SuiteFolder) -> None:
     """Write card.json, card.png and contact_sheet.png of a finished set."""
     items = list(folder)
     columns = _columns(items)
+    credited = sorted({credit for item in items for credit in item.credits})
     record = {
         **folder.header(),
         "items": len(items),
         "origins": dict(sorted(Counter(item.origin for item in items).items())),
+        **({"credits": credited} if credited else {}),
         "curves": int(sum(len(item.curves) for item in items)),
         "statistics": {name: _statistics(values) for name, values in columns.items()},
         "histograms": {name: _histogram(values) for name, values in columns.items()},

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import sys
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -34,6 +35,13 @@ def _set_options(
         ),
         click.option(
             "--photometry/--clean", default=False, help="Noise, blur, compression and the like."
+        ),
+        click.option("--workers", type=click.IntRange(1), help="Processes; default: one a core."),
+        click.option(
+            "--ray",
+            "cluster",
+            metavar="ADDRESS",
+            help="Work on a Ray cluster instead (auto, local or host:port).",
         ),
     ]
 
@@ -66,7 +74,7 @@ def dwireframe(photos: Path, **options: Any) -> None:
     from learned.slf.synthesis import make_dwireframe
 
     paths = _checked(picture_paths, photos)
-    _make("dwireframe", paths, photos, lambda i, c: make_dwireframe(paths, i, c), options)
+    _make("dwireframe", paths, photos, make_dwireframe, options)
 
 
 @synthesize.command()
@@ -78,7 +86,7 @@ def panoramas(folder: Path, **options: Any) -> None:
     from learned.slf.synthesis import make_panorama_cut
 
     paths = _checked(picture_paths, folder)
-    _make("panoramas", paths, folder, lambda i, c: make_panorama_cut(paths, i, c), options)
+    _make("panoramas", paths, folder, make_panorama_cut, options)
 
 
 @synthesize.command()
@@ -95,24 +103,47 @@ def panoramas(folder: Path, **options: Any) -> None:
     help="Interpreter with bpy 4.5; best an environment of its own. Default: this one.",
 )
 @click.option("--samples", default=4, show_default=True, type=click.IntRange(1), help="A pixel.")
-@click.option("--threads", default=2, show_default=True, type=click.IntRange(1))
+@click.option(
+    "--threads", default=1, show_default=True, type=click.IntRange(1), help="Of each Blender."
+)
+@click.option(
+    "--furniture",
+    type=_EXISTING_FOLDER,
+    help="Folder of .sh3f files of Sweet Home 3D, whose models stand among the drawn furniture; "
+    "Debian's sweethome3d-furniture has /usr/share/sweethome3d/furniture.",
+)
+@click.option("--cc0", is_flag=True, help="Only furniture in the public domain.")
 @_set_options(size=320, prior=None)
-def rooms(blender_python: str, samples: int, threads: int, **options: Any) -> None:
+def rooms(
+    blender_python: str,
+    samples: int,
+    threads: int,
+    furniture: Path | None,
+    cc0: bool,
+    **options: Any,
+) -> None:
     """Render furnished rooms and streets with a perspective twin of every picture."""
-    import tempfile
-
-    from learned.slf.rooms.render import Renderer, make_room, open_studio
+    from learned.slf.rooms.recipe import RoomRecipe, room_of
 
     config = _config(options)
     settings = {**_settings(options), "samples": samples}
+    if furniture is not None:
+        settings |= {"furniture": _catalogue_names(furniture, cc0), "cc0": cc0}
+        furniture = furniture.resolve()
+    recipe = RoomRecipe(config, blender_python, samples, threads, furniture, cc0)
     folder = begun(options["out"], "rooms", settings)
-    renderer = Renderer(blender_python, samples=samples, threads=threads)
-    with tempfile.TemporaryDirectory(prefix="textures-") as textures, renderer:
-        studio = open_studio(renderer, Path(textures), seed=options["seed"])
-        try:
-            finish(folder, lambda i: make_room(studio, i, config), options["count"])
-        except RuntimeError as error:
-            raise click.ClickException(str(error)) from error
+    try:
+        finish(folder, partial(room_of, recipe), options)
+    except (RuntimeError, OSError) as error:
+        raise click.ClickException(str(error)) from error
+
+
+def _catalogue_names(folder: Path, cc0: bool) -> list[str]:
+    """The catalogues of a folder, which are read once so that a bad one is misuse."""
+    from learned.slf.rooms.catalogue import read_catalogues
+
+    models = _checked(partial(read_catalogues, cc0_only=cc0), folder)
+    return sorted({model.archive.name for model in models})
 
 
 @synthesize.command()
@@ -157,6 +188,7 @@ def pack(
 @click.option("--blender-python", help="Interpreter with bpy 4.5; without it there are no rooms.")
 @click.option("--out", required=True, type=click.Path(path_type=Path), help="Folder of the sets.")
 @click.option("--seed", default=1, show_default=True, help="Same seed, same bytes.")
+@click.option("--workers", type=click.IntRange(1), help="Processes; default: one a core.")
 @click.pass_context
 def testset(
     context: click.Context,
@@ -165,16 +197,18 @@ def testset(
     blender_python: str | None,
     out: Path,
     seed: int,
+    workers: int | None,
 ) -> None:
     """Make the evaluation sets: 400 D-Wireframe, 100 panorama cuts, 100 rooms."""
-    shared = {"seed": seed, "photometry": False}
+    shared = {"seed": seed, "photometry": False, "workers": workers, "cluster": None}
     wireframe = {**shared, "count": 400, "size": 320, "prior": "paper"}
     context.invoke(dwireframe, photos=photos, out=out / "dwireframe", **wireframe)
     cuts = {**shared, "count": 100, "size": 640, "prior": "wild"}
     context.invoke(panoramas, folder=folder, out=out / "panoramas", **cuts)
     if blender_python is not None:
         options = {**shared, "count": 100, "size": 320, "prior": "equisolid"}
-        options |= {"blender_python": blender_python, "samples": 4, "threads": 2}
+        options |= {"blender_python": blender_python, "samples": 4, "threads": 1}
+        options |= {"furniture": None, "cc0": False}
         context.invoke(rooms, out=out / "rooms", **options)
 
 
@@ -195,7 +229,7 @@ def _make(
     kind: str,
     sources: list[Path],
     root: Path,
-    make: Callable[[int, SetCfg], Made],
+    make: Callable[..., Made],
     options: dict[str, Any],
 ) -> None:
     """Begin or go on with a set, then write its card."""
@@ -207,7 +241,7 @@ def _make(
         "sources_sha256": hashlib.sha256(names.encode()).hexdigest()[:16],
     }
     folder = begun(options["out"], kind, settings)
-    finish(folder, lambda index: make(index, config), options["count"])
+    finish(folder, partial(make, sources, config=config), options)
 
 
 def _config(options: dict[str, Any]) -> SetCfg:
@@ -239,15 +273,18 @@ def begun(out: Path, kind: str, settings: dict[str, Any]) -> SuiteFolder:
     return folder
 
 
-def finish(folder: SuiteFolder, make: Callable[[int], Made], count: int) -> None:
+def finish(folder: SuiteFolder, make: Callable[[int], Made], options: dict[str, Any]) -> None:
     """Make what is missing, with progress, and write the card."""
     from tqdm import tqdm
 
+    from learned.pool import processor_count
     from learned.slf.card import write_card
     from learned.slf.synthesis import synthesize as make_missing
 
+    count, cluster = options["count"], options["cluster"]
+    workers = options["workers"] or processor_count()
     with tqdm(total=count, unit="picture", disable=None) as bar:
-        make_missing(folder, make, count, progress=bar.update)
+        make_missing(folder, make, count, workers=workers, cluster=cluster, progress=bar.update)
     write_card(folder)
 
 

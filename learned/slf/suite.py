@@ -55,6 +55,7 @@ class SuiteItem:
         theta_max: Largest incident angle that the picture shows, radians.
         curves: Images of straight lines.
         origin: Where it comes from, in words; pictures of one origin are one group.
+        credits: Works of others in the picture, each with its author and licence.
     """
 
     index: int
@@ -62,6 +63,7 @@ class SuiteItem:
     theta_max: float
     curves: tuple[SuiteCurve, ...]
     origin: str
+    credits: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -164,6 +166,7 @@ def _to_json(item: SuiteItem) -> dict:
     return {
         "index": item.index,
         "origin": item.origin,
+        **({"credits": list(item.credits)} if item.credits else {}),
         "camera": {
             "k": camera.k.tolist(),
             **{n: float(getattr(camera, n)) for n in ("m_u", "m_v", "u0", "v0")},
@@ -193,5 +196,10 @@ def _from_json(record: dict) -> SuiteItem:
     )
     camera = {**record["camera"], "k": np.array(record["camera"]["k"], float)}
     return SuiteItem(
-        record["index"], KannalaBrandt(**camera), record["theta_max"], curves, record["origin"]
+        record["index"],
+        KannalaBrandt(**camera),
+        record["theta_max"],
+        curves,
+        record["origin"],
+        tuple(record.get("credits", ())),
     )

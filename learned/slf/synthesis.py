@@ -1,6 +1,7 @@
 """Sets on disk from photographs and panoramas: repeatable from a seed, resumable item by item."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from pathlib import Path
@@ -12,6 +13,7 @@ from numpy import ndarray
 from torch import Tensor
 
 from classical.camera import KannalaBrandt
+from learned.pool import WorkPool
 from learned.slf.atlas import Atlas
 from learned.slf.layouts import PoseCfg, draw_rotations
 from learned.slf.lenses import LensBatch
@@ -110,23 +112,43 @@ def synthesize(
     make: Callable[[int], Made],
     count: int,
     *,
+    workers: int = 1,
+    cluster: str | None = None,
     progress: Callable[[], object] | None = None,
 ) -> None:
-    """Make the items that are not there yet.
+    """Make the items that are not there yet; the same bytes however many workers make them.
 
     Args:
         folder: A suite that has begun.
-        make: Makes an item from its number alone.
+        make: Makes an item from its number alone; for more than one worker a module-level function
+            or a partial of one.
         count: Number of items of the whole set.
+        workers: Processes, with one thread each.
+        cluster: Address of a Ray cluster that works instead; see `WorkPool`.
         progress: Called once an item, made or found.
     """
     there = set(folder.indices())
-    for index in range(count):
-        if index not in there:
-            made = make(index)
-            folder.write(made.item, made.picture, made.straight)
+    missing = [index for index in range(count) if index not in there]
+    for _ in range(count - len(missing)):
         if progress is not None:
             progress()
+    pool = WorkPool(workers=max(1, min(workers, len(missing))), cluster=cluster)
+    with _one_thread(), pool:
+        for made in pool.ordered(make, missing):
+            folder.write(made.item, made.picture, made.straight)
+            if progress is not None:
+                progress()
+
+
+@contextmanager
+def _one_thread() -> Iterator[None]:
+    """One thread of torch: pictures are small, and sums in parts might differ in the last bit."""
+    before = torch.get_num_threads()
+    torch.set_num_threads(1)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(before)
 
 
 def suite_curves(strokes: Strokes, segments: Segments3D, row: int) -> tuple[SuiteCurve, ...]:

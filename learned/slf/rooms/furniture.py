@@ -36,12 +36,14 @@ class Piece:
         width: Extent along x, centred.
         depth: Extent along z, from 0.
         height: Extent upwards.
+        model: Number of a modelled piece, which has no parts; −1 for one of boxes.
     """
 
     parts: Parts
     width: float
     depth: float
     height: float
+    model: int = -1
 
 
 def _block(x: float, y: float, z: float, w: float, h: float, d: float, colour: int = 0) -> Part:

@@ -7,23 +7,16 @@ import torch
 from torch import Tensor
 
 from learned.slf.atlas import Atlas
-from learned.slf.boxes import (
-    FACES,
-    Boxes,
-    box_visibility,
-    edge_segments,
-    first_hits,
-    pattern_segments,
-)
+from learned.slf.boxes import FACES, Boxes, edge_segments, pattern_segments
 from learned.slf.optics import Optics, unproject
-from learned.slf.rooms.scenes import RoomScene
+from learned.slf.rooms.builder import RoomScene
+from learned.slf.rooms.sight import BoxSight, Sight
 from learned.slf.strokes import Segments3D, Strokes, bent_strokes, filtered_strokes
 
 _SIDE_PX = 1.2
 _GROUND = 3
 _SKY_M = 200.0
 _LEAST_SEEN = 0.6
-_DEPTH_STEP = 0.01
 
 
 @dataclass(frozen=True)
@@ -79,46 +72,50 @@ def room_geometry(scene: RoomScene, atlas: Atlas) -> RoomGeometry:
 
 
 def room_strokes(
-    room: RoomGeometry, atlas: Atlas, lens: Optics, *, shortest_px: float
+    room: RoomGeometry,
+    atlas: Atlas,
+    lens: Optics,
+    *,
+    shortest_px: float,
+    sight: Sight | None = None,
+    edges: Segments3D | None = None,
 ) -> tuple[Strokes, Segments3D]:
     """Visible lines of the room in the fisheye picture, with the pieces they are of.
 
     An edge counts where the two sides of it differ: another face, material or distance. A seam of
     two flush boxes does not.
+
+    Args:
+        room: The boxes.
+        atlas: Drawn textures, then one without lines.
+        lens: The fisheye lens.
+        shortest_px: Lines shorter than this are left out.
+        sight: What is seen; None means that the boxes are all there is.
+        edges: Of what is no box, in camera coordinates.
     """
-    edges = edge_segments(room.boxes, with_room=not room.is_open)
-    lines = pattern_segments(atlas, room.boxes)
+    sight = sight or BoxSight(room.boxes, room.material)
+    solid = edge_segments(room.boxes, with_room=not room.is_open)
+    parts = [solid, *([edges] if edges is not None else []), pattern_segments(atlas, room.boxes)]
     segments = Segments3D(
-        torch.cat([edges.start, lines.start]),
-        torch.cat([edges.end, lines.end]),
-        torch.cat([edges.row, lines.row]),
+        torch.cat([part.start for part in parts]),
+        torch.cat([part.end for part in parts]),
+        torch.cat([part.row for part in parts]),
     )
-
-    def visibility(points: Tensor, row: Tensor) -> Tensor:
-        return box_visibility(room.boxes, points, row)
-
-    strokes = bent_strokes(lens, segments, visibility=visibility, shortest_px=shortest_px)
-    is_edge = strokes.segment < len(edges)
-    differs = _sides_differ(room, lens, strokes).to(torch.float32)
+    strokes = bent_strokes(
+        lens, segments, visibility=lambda points, _row: sight.sees(points), shortest_px=shortest_px
+    )
+    is_edge = strokes.segment < len(segments) - len(parts[-1])
+    differs = sight.differ(*_sides(lens, strokes)).to(torch.float32)
     share = torch.zeros_like(strokes.length).index_add_(0, strokes.run, differs)
     share /= torch.bincount(strokes.run, minlength=len(strokes.length)).clamp_min(1)
     return filtered_strokes(strokes, ~is_edge | (share >= _LEAST_SEEN)), segments
 
 
-def _sides_differ(room: RoomGeometry, lens: Optics, strokes: Strokes) -> Tensor:
-    """Per point, whether something else is seen on its two sides."""
+def _sides(lens: Optics, strokes: Strokes) -> tuple[Tensor, Tensor]:
+    """Rays a little to either side of every point."""
     normal = torch.stack([-strokes.tangent[:, 1], strokes.tangent[:, 0]], 1)
     row = torch.zeros(len(normal), dtype=torch.int64)
-    seen = []
-    for side in (-_SIDE_PX, _SIDE_PX):
-        rays, _ = unproject(lens, strokes.points + side * normal, row)
-        depth, owner, face = first_hits(room.boxes, rays, row)
-        yaw = room.boxes.yaw[0, owner]
-        axis = face // 2
-        turned = torch.where(axis == 0, yaw, torch.where(axis == 2, yaw + np.pi / 2, 0.0))
-        facing = torch.where(axis == 1, 3.0, torch.cos(2 * turned))
-        seen.append((depth, facing, room.material[0, owner, face]))
-    (d0, f0, m0), (d1, f1, m1) = seen
     return (
-        (m0 != m1) | ((f0 - f1).abs() > 0.05) | ((d0 - d1).abs() > _DEPTH_STEP * (d0 + d1) + 0.02)
+        unproject(lens, strokes.points - _SIDE_PX * normal, row)[0],
+        unproject(lens, strokes.points + _SIDE_PX * normal, row)[0],
     )

@@ -3,29 +3,39 @@
 import json
 import subprocess
 import tempfile
-from collections.abc import Iterator
-from dataclasses import dataclass, field
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import TracebackType
 
 import numpy as np
 import torch
+from jaxtyping import Float
+from numpy import ndarray
 
 from learned.slf.atlas import Atlas
+from learned.slf.layouts import draw_rotations
 from learned.slf.lenses import LensBatch, frame_theta_max
 from learned.slf.optics import Optics, optics
 from learned.slf.pack import PATTERN, Annotated, build_atlas, read_rgb
 from learned.slf.patterns import USES, draw_patterns, numbers_for
 from learned.slf.photometry import photographed
 from learned.slf.priors import lens_prior
+from learned.slf.rooms.builder import RoomScene
+from learned.slf.rooms.catalogue import Model
 from learned.slf.rooms.lines import room_geometry, room_strokes
-from learned.slf.rooms.scenes import RoomScene, draw_scene
+from learned.slf.rooms.models import Furniture
+from learned.slf.rooms.scenes import draw_scene
+from learned.slf.rooms.sight import Hits, TracedSight
+from learned.slf.strokes import Segments3D, Strokes
 from learned.slf.suite import SuiteItem, write_png
 from learned.slf.synthesis import Made, SetCfg, suite_curves, true_camera
 
 _ROOMS = 13
 _PATTERNS = 44
 _SHORTEST_SHARE = 0.04
+_POSE_TRIES = 5
+_ENOUGH_LINES = 8.0  # length of all lines seen, picture widths
 _RESULT = "@result "
 _WORKER = Path(__file__).with_name("worker.py")
 EQUISOLID_FOCAL = 0.9925
@@ -75,11 +85,28 @@ class Renderer:
         Raises:
             RuntimeError: If Blender cannot be started or fails.
         """
+        options = {"samples": self.samples, "threads": self.threads, "denoise": self.denoise}
+        self._ask({**job, **options})
+
+    def trace(self, job: dict, rays: Float[ndarray, "n 3"]) -> Hits:
+        """What rays from the camera of a job meet first, unit directions in world axes.
+
+        Raises:
+            RuntimeError: If Blender cannot be started or fails.
+        """
+        with tempfile.TemporaryDirectory(prefix="rays-") as folder:
+            files = {name: str(Path(folder) / f"{name}.npy") for name in ("rays", "hits")}
+            np.save(files["rays"], rays)
+            self._ask({**job, **files})
+            hits = np.load(files["hits"])
+        return Hits(hits[:, 0], hits[:, 1:4], hits[:, 4].astype(int))
+
+    def _ask(self, job: dict) -> None:
+        """Give the process a job and wait until it is done."""
         process = self._running()
         assert process.stdin is not None
-        options = {"samples": self.samples, "threads": self.threads, "denoise": self.denoise}
         try:
-            process.stdin.write(json.dumps({**job, **options}) + "\n")
+            process.stdin.write(json.dumps(job) + "\n")
             process.stdin.flush()
             result = next(self._results(process), None)
         except BrokenPipeError:
@@ -121,15 +148,19 @@ class RoomStudio:
         atlas: Drawn textures, then one without lines.
         paths: Files of the textures.
         renderer: Blender.
+        furniture: Models beside the furniture of boxes, if any.
     """
 
     atlas: Atlas
     paths: dict[str, str]
     renderer: Renderer
+    furniture: Furniture | None = None
 
 
-def open_studio(renderer: Renderer, folder: Path, *, seed: int) -> RoomStudio:
-    """Draw the textures into a folder and pack them."""
+def open_studio(
+    renderer: Renderer, folder: Path, *, seed: int, models: Sequence[Model] = ()
+) -> RoomStudio:
+    """Draw the textures into a folder and pack them; models are unpacked there when needed."""
     drawn = list(draw_patterns(_PATTERNS, seed=seed))
     paths = {}
     for i, pattern in enumerate(drawn):
@@ -137,7 +168,8 @@ def open_studio(renderer: Renderer, folder: Path, *, seed: int) -> RoomStudio:
         write_png(file, pattern.image)
         paths[str(i)] = str(file)
     blank = Annotated(np.full((16, 16, 3), 128, np.uint8), np.zeros((0, 4), np.float32), PATTERN)
-    return RoomStudio(build_atlas([*drawn, blank]), paths, renderer)
+    furniture = Furniture(list(models), folder / "models") if models else None
+    return RoomStudio(build_atlas([*drawn, blank]), paths, renderer, furniture)
 
 
 def make_room(studio: RoomStudio, index: int, config: SetCfg) -> Made:
@@ -150,16 +182,14 @@ def make_room(studio: RoomStudio, index: int, config: SetCfg) -> Made:
     """
     rng = np.random.default_rng([config.seed, _ROOMS, index])
     lenses = room_lenses(config.prior, rng)
-    scene = draw_scene(rng, {use: numbers_for(use, len(studio.paths)) for use in USES})
+    furniture = studio.furniture
+    uses = {use: numbers_for(use, len(studio.paths)) for use in USES}
+    scene = draw_scene(rng, uses, furniture.sizes if furniture else ())
     lens = optics(lenses, size=config.size)
-    strokes, segments = room_strokes(
-        room_geometry(scene, studio.atlas),
-        studio.atlas,
-        lens,
-        shortest_px=_SHORTEST_SHARE * config.size,
-    )
     with tempfile.TemporaryDirectory(prefix="room-") as folder:
         pictures = [Path(folder) / name for name in ("fisheye.png", "straight.png")]
+        job = room_job(scene, lenses, studio, index, config, pictures)
+        scene, strokes, segments = _pose_with_lines(rng, studio, scene, job, lens)
         studio.renderer.render(room_job(scene, lenses, studio, index, config, pictures))
         fisheye, straight = (read_rgb(path) for path in pictures)
     if config.photometry is not None:
@@ -170,8 +200,38 @@ def make_room(studio: RoomStudio, index: int, config: SetCfg) -> Made:
         theta_max=float(lenses.theta_max[0]),
         curves=suite_curves(strokes, segments, 0),
         origin="street" if scene.is_open else "room",
+        credits=furniture.credits(scene) if furniture else (),
     )
     return Made(item, fisheye, straight)
+
+
+def _pose_with_lines(
+    rng: np.random.Generator, studio: RoomStudio, scene: RoomScene, job: dict, lens: Optics
+) -> tuple[RoomScene, Strokes, Segments3D]:
+    """The scene as the camera stands or turned so that it sees enough lines, or most of them."""
+    tries: list[tuple[float, RoomScene, Strokes, Segments3D]] = []
+    for _ in range(_POSE_TRIES):
+        strokes, segments = _strokes(studio, scene, job, lens)
+        seen = float(strokes.length.sum()) / lens.size
+        tries.append((seen, scene, strokes, segments))
+        if seen >= _ENOUGH_LINES:
+            break
+        scene = replace(scene, rotation=draw_rotations(rng, 1)[0])
+    _, scene, strokes, segments = max(tries, key=lambda tried: tried[0])
+    return scene, strokes, segments
+
+
+def _strokes(
+    studio: RoomStudio, scene: RoomScene, job: dict, lens: Optics
+) -> tuple[Strokes, Segments3D]:
+    """Visible lines; with models in the scene Blender says what hides what."""
+    room = room_geometry(scene, studio.atlas)
+    shortest = _SHORTEST_SHARE * lens.size
+    if studio.furniture is None or not len(scene.model):
+        return room_strokes(room, studio.atlas, lens, shortest_px=shortest)
+    sight = TracedSight(scene.rotation, lambda rays: studio.renderer.trace(job, rays))
+    edges = studio.furniture.edges(scene)
+    return room_strokes(room, studio.atlas, lens, shortest_px=shortest, sight=sight, edges=edges)
 
 
 def room_lenses(prior: str, rng: np.random.Generator) -> LensBatch:
@@ -217,9 +277,11 @@ def room_job(
     assert len(faces) == n + 1
     return {
         "index": index,
+        "key": [config.seed, index],
         "seed": int(np.random.default_rng([config.seed, index]).integers(2**31)),
         "size": config.size,
         "scene": {**arrays, "face_material": faces},
+        "models": studio.furniture.job(scene) if studio.furniture else [],
         "patterns": studio.paths,
         "lens": lens,
         "fisheye": str(pictures[0]),
@@ -228,8 +290,8 @@ def room_job(
 
 
 def _photographed(
-    image: np.ndarray, lens: Optics, rng: np.random.Generator, config: SetCfg
-) -> np.ndarray:
+    image: ndarray, lens: Optics, rng: np.random.Generator, config: SetCfg
+) -> ndarray:
     tensor = torch.from_numpy(image).permute(2, 0, 1)[None].float() / 255
     done = photographed(tensor, lens, rng=rng, config=config.photometry)
     return (done[0] * 255).round().byte().permute(1, 2, 0).numpy()

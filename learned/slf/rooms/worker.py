@@ -5,7 +5,8 @@ project: Blender wants an older NumPy than the rest, and a crash of it costs one
 
     python worker.py < jobs
 
-A job names the scene's arrays, the lens and the two pictures to write; see `render.py`.
+A job names the scene's arrays, the lens and the two pictures to write, or rays to trace in the
+scene; see `render.py`.
 """
 
 import json
@@ -15,6 +16,7 @@ import traceback
 
 import bpy  # type: ignore[import-not-found]
 import mathutils  # type: ignore[import-not-found]
+import mathutils.bvhtree  # type: ignore[import-not-found]
 import numpy as np
 
 sys.path.append(bpy.utils.resource_path("LOCAL") + "/python/lib/python3.11/site-packages")
@@ -68,6 +70,8 @@ FACES = (
     ((4, 5, 7, 6), (0, 1)),
 )
 SKIES = ("city", "forest", "sunrise", "sunset")
+FIRST_MODEL = 1_000_000  # surfaces below are materials of boxes
+TREE = {}
 PARAMETERS = ("k1", "k2", "k3", "k4", "k5", "m_v", "u0", "v0", "theta_max", "circle", "half_height")
 
 
@@ -84,8 +88,8 @@ def clear():
             getattr(bpy.data, group).remove(item, do_unlink=True)
 
 
-def build_mesh(boxes, materials, face_material):
-    """One mesh of all boxes; texture coordinates in metres from each face's corner."""
+def box_corners(boxes):
+    """Corners of all boxes in their own axes and in Blender's, (n, 8, 3) each."""
     centre, half, yaw = (np.array(boxes[n], float) for n in ("centre", "half", "yaw"))
     c, s = np.cos(yaw)[:, None], np.sin(yaw)[:, None]
     local = CORNERS[None] * half[:, None]
@@ -97,10 +101,15 @@ def build_mesh(boxes, materials, face_material):
         ],
         axis=-1,
     )
-    vertices = to_blender(turned + centre[:, None]).reshape(-1, 3)
-    count = len(centre)
+    return local, to_blender(turned + centre[:, None])
+
+
+def build_mesh(boxes, materials, face_material):
+    """One mesh of all boxes; texture coordinates in metres from each face's corner."""
+    local, corners = box_corners(boxes)
+    half, vertices = np.array(boxes["half"], float), corners.reshape(-1, 3)
     polygons, uv, index = [], [], []
-    for i in range(count):
+    for i in range(len(local)):
         for f, (corners, (a, b)) in enumerate(FACES):
             if face_material[i][f] < 0:
                 continue
@@ -116,6 +125,62 @@ def build_mesh(boxes, materials, face_material):
     mesh.polygons.foreach_set("material_index", np.array(index, np.int32))
     mesh.update()
     bpy.context.collection.objects.link(bpy.data.objects.new("scene", mesh))
+
+
+def to_blender_pose(pose):
+    """An affine map into the world's axes as one into Blender's."""
+    pose = np.asarray(pose, float)
+    out = np.eye(4)
+    out[:3] = to_blender(pose[:3].T).T
+    return out
+
+
+def import_models(job):
+    """Models with their own materials, in place."""
+    for model in job["models"]:
+        bpy.ops.wm.obj_import(filepath=model["obj"], forward_axis="Y", up_axis="Z")
+        for item in bpy.context.selected_objects:
+            item.matrix_world = mathutils.Matrix(to_blender_pose(model["pose"]).tolist())
+
+
+def scene_tree(job):
+    """A tree for tracing rays, and the surface of each of its polygons."""
+    scene = job["scene"]
+    _, corners = box_corners(scene)
+    vertices, polygons, surface = [corners.reshape(-1, 3)], [], []
+    for i, materials in enumerate(scene["face_material"]):
+        for (face, _), material in zip(FACES, materials, strict=True):
+            if material >= 0:
+                polygons.append([8 * i + j for j in face])
+                surface.append(material)
+    count = len(vertices[0])
+    for number, model in enumerate(job["models"]):
+        mesh = np.load(model["mesh"])
+        pose = to_blender_pose(model["pose"])
+        vertices.append(mesh["vertices"] @ pose[:3, :3].T + pose[:3, 3])
+        polygons += (mesh["triangles"] + count).tolist()
+        surface += [FIRST_MODEL + number] * len(mesh["triangles"])
+        count += len(mesh["vertices"])
+    points = np.concatenate(vertices).tolist()
+    return mathutils.bvhtree.BVHTree.FromPolygons(points, polygons), np.array(surface)
+
+
+def trace(job):
+    """Distance, normal and surface that rays from the camera meet first, written as one array."""
+    if TREE.get("key") != job["key"]:
+        TREE["key"], TREE["tree"] = job["key"], scene_tree(job)
+    tree, surface = TREE["tree"]
+    rays = np.load(job["rays"])
+    eye = mathutils.Vector(to_blender(job["scene"]["position"]).tolist())
+    hits = np.zeros((len(rays), 5))
+    for i, direction in enumerate(to_blender(rays).tolist()):
+        _, normal, polygon, distance = tree.ray_cast(eye, direction)
+        if polygon is None:
+            hits[i] = math.inf, 0.0, 0.0, 0.0, -1.0
+        else:
+            x, y, z = normal
+            hits[i] = distance, x, -z, y, surface[polygon]
+    np.save(job["hits"], hits)
 
 
 def build_material(number, job):
@@ -244,6 +309,7 @@ def run(job):
     scene = job["scene"]
     materials = [build_material(i, job) for i in range(len(scene["colour"]))]
     build_mesh(scene, materials, scene["face_material"])
+    import_models(job)
     build_lights(scene)
     set_renderer(job)
     for fisheye, path in ((True, job["fisheye"]), (False, job["straight"])):
@@ -257,7 +323,7 @@ def main():
     for line in sys.stdin:
         job = json.loads(line)
         try:
-            run(job)
+            trace(job) if "rays" in job else run(job)
             result = {"index": job["index"], "error": None}
         except Exception:
             result = {"index": job["index"], "error": traceback.format_exc()}
