@@ -190,7 +190,8 @@ class _Log:
         self.sums: dict[str, Tensor | float] = {}
         self.since = time.monotonic()
         self.pictures = 0
-        (folder / "run.json").write_text(json.dumps(asdict(cfg), indent=1))
+        with atomic_path(folder / "run.json") as temporary:
+            temporary.write_text(json.dumps(asdict(cfg), indent=1))
 
     def scalars(
         self, step: int, loss: Tensor, scalars: dict[str, Any], rate: float, bar: tqdm
