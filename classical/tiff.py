@@ -37,7 +37,8 @@ def read_tiff(
     try:
         with tifffile.TiffFile(path) as file:
             page = file.pages.first
-            if page.size > _MAX_CHANNELS * max_pixels:
+            flat = page.imagewidth * page.imagelength
+            if flat > max_pixels or page.size > _MAX_CHANNELS * max_pixels:
                 raise ValueError(f"more than {max_pixels} pixels")
             icc = page.iccprofile
             if page.compression == tifffile.COMPRESSION.NONE:

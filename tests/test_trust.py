@@ -2,6 +2,7 @@
 
 import io
 import json
+import math
 import os
 import pickle
 import struct
@@ -21,6 +22,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from PIL import Image, PngImagePlugin
 
+from classical.tiff import read_tiff
 from classical.warp import read_stmap
 from hybrid import CameraFile, Quality, read_camera, read_picture, write_camera
 from hybrid.cli import run
@@ -194,6 +196,17 @@ def test_an_stmap_that_claims_too_much_is_refused(tmp_path):
     (tmp_path / "map.tif").write_bytes(retagged(retagged(small, 256, 10**6), 257, 10**6))
     with pytest.raises(ValueError, match="pixels"):
         read_stmap(tmp_path / "map.tif", 100, 100)
+
+
+@pytest.mark.parametrize("shape", [(8, 8), (8, 8, 3), (3, 8, 8)])
+def test_a_tiff_is_refused_by_its_pixels_whatever_its_channels(shape, tmp_path):
+    options = {"photometric": "rgb"} if len(shape) == 3 else {}
+    if shape[0] == 3:
+        options["planarconfig"] = "separate"
+    (tmp_path / "page.tif").write_bytes(tiff(np.zeros(shape, np.uint16), **options))
+    assert read_tiff(tmp_path / "page.tif", max_pixels=64)[0].size == math.prod(shape)
+    with pytest.raises(ValueError, match="more than 63 pixels"):
+        read_tiff(tmp_path / "page.tif", max_pixels=63)
 
 
 def test_a_camera_file_that_unfolds_is_refused_quickly(tmp_path):

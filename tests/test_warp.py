@@ -154,6 +154,18 @@ def test_target_refuses_misuse(options, message):
         pinhole_target(equidistant(120), **options)
 
 
+@pytest.mark.parametrize("size", [(160, 120), (4000, 3000)], ids=str)
+@pytest.mark.parametrize("beyond", [-60, -3, 0, 4])  # pixels that the axis is off to the right
+def test_a_lens_of_few_pixels_is_shown_without_an_empty_one(size, beyond):
+    # turns back at 26°, 8 pixels off its axis
+    k = np.array([0.305, -0.375, -0.375, 0, 0]) * 160 / size[0]
+    u0 = size[0] - 0.5 + beyond
+    camera = KannalaBrandt(k, size[0] / 2, size[0] / 2, u0, 0.3 * size[1], *size)
+    target = pinhole_target(camera, size=(160, 120))
+    assert undistort_maps(camera, target).valid.all()
+    assert math.degrees(target.horizontal_fov) > (30 if beyond < 0 else 5)
+
+
 def test_target_refuses_a_picture_of_the_rim_only():
     rim = equidistant(220, 1000, 1000).cropped(930, 400, 60, 200)
     with pytest.raises(ValueError, match="within 65° of the optical axis"):

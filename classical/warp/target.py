@@ -19,9 +19,10 @@ from classical.warp.maps import AnyCamera
 MAX_FOV = 175.0  # degrees; the widest frame that can be asked for
 CORNER_ANGLE_FULL = math.radians(65.0)  # largest angle of the frame with balance 0
 CORNER_ANGLE_WIDE = math.radians(75.0)  # largest angle taken in with balance 1
-_BORDER_SAMPLES = 256  # a side
+_BORDER_SAMPLES = 128  # a side
 _CENTRE_GRID = 9
 _REFINEMENTS = 12
+_FAR = np.array([-1.0, -1.0, 1.0, 1.0]) * 1e9  # pixels; where the picture alone is the bound
 _SAFETY = 1e-4  # relative; keeps the frame off the border by less than a pixel
 
 
@@ -95,7 +96,7 @@ def _full_frame(camera: AnyCamera, half: Float[np.ndarray, "2"]) -> tuple[np.nda
     the picture and shrinking steps around the best.
     """
     border = _border(camera, CORNER_ANGLE_FULL) / half
-    candidates = _plane(camera, _grid(camera), CORNER_ANGLE_FULL)[0] / half
+    candidates = _plane(camera, _grid(camera, CORNER_ANGLE_FULL), CORNER_ANGLE_FULL)[0] / half
     if len(candidates) == 0:
         raise ValueError(
             "Expected a part of the picture within "
@@ -124,27 +125,58 @@ _STAR = np.array([[x, y] for x in (-1.0, 0.0, 1.0) for y in (-1.0, 0.0, 1.0) if 
 def _room(
     centres: Float[np.ndarray, "m 2"], border: Float[np.ndarray, "n 2"]
 ) -> Float[np.ndarray, " m"]:
-    """Distance of each centre from the border in the maximum norm."""
-    return np.abs(border[None] - centres[:, None]).max(axis=2).min(axis=1)
+    """Distance of each centre from the border, a closed polygon, in the maximum norm.
+
+    Along a side the norm is least at an end or where a diagonal through the centre crosses it.
+    """
+    x, y = np.moveaxis(border[None] - centres[:, None], -1, 0)
+    room = np.maximum(np.abs(x), np.abs(y)).min(axis=1)
+    for across in (x - y, x + y):
+        onwards = np.roll(across, -1, axis=1) - across
+        at = np.clip(-across / np.where(onwards == 0, 1.0, onwards), 0.0, 1.0)
+        crossing = [axis + at * (np.roll(axis, -1, axis=1) - axis) for axis in (x, y)]
+        room = np.minimum(room, np.abs(crossing).max(axis=0).min(axis=1))
+    return room
 
 
 def _border(camera: AnyCamera, cap: float) -> Float[np.ndarray, "n 2"]:
     """The outline of the picture in the plane z = 1, its angles at most `cap`."""
-    right, bottom = camera.width - 0.5, camera.height - 0.5
+    low, high = _window(camera, cap)
     along = np.linspace(0.0, 1.0, _BORDER_SAMPLES, endpoint=False)
     u = np.concatenate([along, np.ones_like(along), 1 - along, np.zeros_like(along)])
     v = np.concatenate([np.zeros_like(along), along, np.ones_like(along), 1 - along])
-    points = np.stack([-0.5 + u * (right + 0.5), -0.5 + v * (bottom + 0.5)], axis=1)
-    return _plane(camera, points, cap)[1]
+    return _plane(camera, low + np.stack([u, v], axis=1) * (high - low), cap)[1]
 
 
-def _grid(camera: AnyCamera) -> Float[np.ndarray, "n 2"]:
-    """Pixels spread over the picture, its middle and the principal point among them."""
-    u = np.linspace(0, camera.width - 1, _CENTRE_GRID + 2)[1:-1]
-    v = np.linspace(0, camera.height - 1, _CENTRE_GRID + 2)[1:-1]
-    grid = np.stack([axis.ravel() for axis in np.meshgrid(u, v)], axis=1)
-    axis = np.clip([camera.u0, camera.v0], 0, [camera.width - 1, camera.height - 1])
-    return np.vstack([grid, axis])  # a lens that turns back early sees little around its axis
+def _grid(camera: AnyCamera, cap: float) -> Float[np.ndarray, "n 2"]:
+    """Points spread over the picture, the one next to the optical axis among them."""
+    low, high = _window(camera, cap)
+    along = np.linspace(0.0, 1.0, _CENTRE_GRID + 2)[1:-1]
+    steps = np.stack([axis.ravel() for axis in np.meshgrid(along, along)], axis=1)
+    axis = np.clip([camera.u0, camera.v0], low, high)
+    return np.vstack([low + steps * (high - low), axis])
+
+
+def _window(camera: AnyCamera, cap: float) -> tuple[np.ndarray, np.ndarray]:
+    """Corners of the part of the picture around what lies within `cap` of the axis.
+
+    A lens may see no more than a few pixels of a large picture, or a sliver at its side.
+    """
+    angle = min(cap, getattr(camera, "theta_max", cap)) * (1 - 1e-9)
+    sine, cosine = math.sin(angle), math.cos(angle)
+    towards = np.array(
+        [[-sine, 0, cosine], [0, -sine, cosine], [sine, 0, cosine], [0, sine, cosine]]
+    )
+    points, seen = camera.project(towards)
+    left, top, right, bottom = np.where(seen, points[[0, 1, 2, 3], [0, 1, 0, 1]], _FAR)
+    low = np.maximum([left, top], -0.5)
+    high = np.minimum([right, bottom], [camera.width - 0.5, camera.height - 0.5])
+    if (low >= high).any():
+        raise ValueError(
+            f"Expected a part of the picture within {math.degrees(cap):g}° of the optical axis, "
+            "got none."
+        )
+    return low, high
 
 
 def _plane(camera: AnyCamera, points: np.ndarray, cap: float) -> tuple[np.ndarray, np.ndarray]:
