@@ -57,7 +57,7 @@ def synthesised(tmp_path_factory) -> Path:
     curve = SuiteCurve(points, line[[0, -1]], 120.0)
     for index in range(3):
         item = SuiteItem(index, CAMERA, 1.2, (curve,), f"noise {index}")
-        folder.write(item, picture(index), picture(index))
+        folder.write(item, picture(index), picture(index), picture(index)[..., 0])
     return folder.path
 
 

@@ -95,7 +95,7 @@ def test_item_survives_the_disk(finished, tmp_path):
     copy = SuiteFolder(tmp_path / "copy")
     copy.begin({"kind": "dwireframe", "name": "copy", "note": "", "settings": {}})
     picture = np.zeros((64, 64, 3), np.uint8)
-    copy.write(item, picture, picture)
+    copy.write(item, picture, picture, picture[..., 0])
     again = copy.read(0)
     assert again.camera == item.camera
     np.testing.assert_array_equal(again.curves[0].points, item.curves[0].points)

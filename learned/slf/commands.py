@@ -15,16 +15,18 @@ if TYPE_CHECKING:
     from learned.slf.suite import SuiteFolder
     from learned.slf.synthesis import Made, SetCfg
 
+_LENSES_A_PHOTOGRAPH = 8  # as the paper bent each
 _EXISTING_FOLDER = click.Path(exists=True, file_okay=False, path_type=Path)
 
 
 def _set_options(
-    *, size: int, prior: str | None
+    *, size: int, prior: str | None, count: str | None = None
 ) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
-    """Options that every set has."""
+    """Options that every set has; `count` says how many pictures there are by default."""
+    told = f"Pictures in the set; default: {count}." if count else "Pictures in the set."
     options = [
         click.option("--out", required=True, type=click.Path(path_type=Path), help="Folder."),
-        click.option("--count", required=True, type=click.IntRange(1), help="Pictures in the set."),
+        click.option("--count", required=count is None, type=click.IntRange(1), help=told),
         click.option("--seed", default=1, show_default=True, help="Same seed, same bytes."),
         click.option(
             "--size",
@@ -67,14 +69,26 @@ def synthesize() -> None:
 
 @synthesize.command()
 @click.option("--photos", required=True, type=_EXISTING_FOLDER, help="Undistorted photographs.")
-@_set_options(size=320, prior="paper")
+@_set_options(size=320, prior="paper", count="eight lenses a photograph")
 def dwireframe(photos: Path, **options: Any) -> None:
-    """Bend perspective photographs and their straight lines (the paper's D-Wireframe)."""
+    """Bend perspective photographs and their straight lines (the paper's D-Wireframe).
+
+    Lines come from annotation files of the wireframe dataset (.pkl, _line.mat, .json) where there
+    are any below the folder of photographs; a detector finds them in the others.
+    """
     from learned.slf.pack import picture_paths
     from learned.slf.synthesis import make_dwireframe
+    from learned.slf.wireframes import with_annotations
 
     paths = _checked(picture_paths, photos)
-    _make("dwireframe", paths, photos, make_dwireframe, options)
+    photographs = with_annotations(paths, photos)
+    options["count"] = options["count"] or _LENSES_A_PHOTOGRAPH * len(paths)
+    annotated = sum(photograph.annotation is not None for photograph in photographs)
+    settings = {
+        **_source_settings(paths, photos),
+        **({"annotated": annotated} if annotated else {}),
+    }
+    _make("dwireframe", partial(make_dwireframe, photographs), settings, options)
 
 
 @synthesize.command()
@@ -86,7 +100,8 @@ def panoramas(folder: Path, **options: Any) -> None:
     from learned.slf.synthesis import make_panorama_cut
 
     paths = _checked(picture_paths, folder)
-    _make("panoramas", paths, folder, make_panorama_cut, options)
+    make = partial(make_panorama_cut, paths)
+    _make("panoramas", make, _source_settings(paths, folder), options)
 
 
 @synthesize.command()
@@ -165,6 +180,7 @@ def pack(
     from learned.slf.pack import annotated_photographs, build_atlas, picture_paths
     from learned.slf.panorama_lines import annotated_panorama
     from learned.slf.patterns import draw_patterns
+    from learned.slf.wireframes import with_annotations
 
     if photos is None and folder is None and patterns == 0:
         raise click.UsageError("expected --photos, --panoramas or --patterns, got none")
@@ -173,7 +189,8 @@ def pack(
     with tqdm(total=len(flat) + len(round_), unit="picture", disable=None) as bar:
 
         def pictures() -> Any:
-            yield from annotated_photographs(flat, workers=workers, progress=bar.update)
+            photographs = with_annotations(flat, photos) if photos else []
+            yield from annotated_photographs(photographs, workers=workers, progress=bar.update)
             for path in round_:
                 yield annotated_panorama(path)
                 bar.update()
@@ -226,22 +243,21 @@ def show_prior(name: str, out: Path, count: int, seed: int) -> None:
 
 
 def _make(
-    kind: str,
-    sources: list[Path],
-    root: Path,
-    make: Callable[..., Made],
-    options: dict[str, Any],
+    kind: str, make: Callable[..., Made], sources: dict[str, Any], options: dict[str, Any]
 ) -> None:
     """Begin or go on with a set, then write its card."""
-    config = _config(options)
-    names = "\n".join(path.relative_to(root).as_posix() for path in sources)
-    settings = {
-        **_settings(options),
-        "sources": len(sources),
-        "sources_sha256": hashlib.sha256(names.encode()).hexdigest()[:16],
-    }
-    folder = begun(options["out"], kind, settings)
-    finish(folder, partial(make, sources, config=config), options)
+    folder = begun(options["out"], kind, {**_settings(options), **sources})
+    try:
+        finish(folder, partial(make, config=_config(options)), options)
+    except ValueError as error:
+        raise click.ClickException(str(error)) from error
+
+
+def _source_settings(paths: list[Path], root: Path) -> dict[str, Any]:
+    """How many files a set is made from, and a checksum of their names."""
+    names = "\n".join(path.relative_to(root).as_posix() for path in paths)
+    digest = hashlib.sha256(names.encode()).hexdigest()[:16]
+    return {"sources": len(paths), "sources_sha256": digest}
 
 
 def _config(options: dict[str, Any]) -> SetCfg:

@@ -11,7 +11,8 @@ from jaxtyping import Float, UInt8
 from numpy import ndarray
 
 from learned.slf.atlas import LEVELS, Atlas
-from learned.slf.segments import AnnotationCfg, annotate
+from learned.slf.segments import annotate
+from learned.slf.wireframes import Photograph, wireframe_segments
 
 PHOTOGRAPH, PATTERN, PANORAMA = 0, 1, 2
 PICTURE_SUFFIXES = (".jpg", ".jpeg", ".png", ".tif", ".tiff", ".bmp", ".webp")
@@ -58,15 +59,22 @@ def read_rgb(path: Path) -> UInt8[ndarray, "h w 3"]:
     return np.ascontiguousarray(bgr[..., ::-1])
 
 
-def annotated_photograph(
-    path: Path, *, longest: int = 640, config: AnnotationCfg | None = None
-) -> Annotated:
-    """Read a photograph, shrink it to at most `longest` pixels a side and find its segments."""
-    image = shrunk(read_rgb(path), longest)
-    return Annotated(image, annotate(image, config))
+def annotated_photograph(photograph: Photograph, *, longest: int = 640) -> Annotated:
+    """Read a photograph, shrink it to at most `longest` pixels a side, and read or find its lines.
+
+    Raises:
+        ValueError: If the picture or its annotation cannot be read.
+    """
+    full = read_rgb(photograph.path)
+    image = shrunk(full, longest)
+    if photograph.annotation is None:
+        return Annotated(image, annotate(image))
+    scale = np.tile([image.shape[i] / full.shape[i] for i in (1, 0)], 2)
+    segments = (wireframe_segments(photograph) + 0.5) * scale - 0.5
+    return Annotated(image, segments.astype(np.float32))
 
 
-def shrunk(image: UInt8[ndarray, "h w 3"], longest: int) -> UInt8[ndarray, "h w 3"]:
+def shrunk(image: UInt8[ndarray, "h w 3"], longest: int) -> UInt8[ndarray, "h2 w2 3"]:
     """Scale a picture down, by area, until its longer side is at most `longest` pixels."""
     import cv2
 
@@ -79,11 +87,14 @@ def shrunk(image: UInt8[ndarray, "h w 3"], longest: int) -> UInt8[ndarray, "h w 
 
 
 def annotated_photographs(
-    paths: Iterable[Path], *, workers: int = 2, progress: Callable[[], object] | None = None
+    photographs: Iterable[Photograph],
+    *,
+    workers: int = 2,
+    progress: Callable[[], object] | None = None,
 ) -> Iterator[Annotated]:
     """Annotate photographs side by side, in the order given."""
     with ThreadPoolExecutor(workers) as pool:
-        for item in pool.map(annotated_photograph, paths):
+        for item in pool.map(annotated_photograph, photographs):
             if progress is not None:
                 progress()
             yield item

@@ -3,6 +3,8 @@
     suite.json            format, kind, name, note, settings; written first
     pictures/000012.png   the fisheye photograph, 8-bit RGB
     straight/000012.png   the rectified truth: pinhole f = width / 2, same size
+    lines/000012.png      the line map, 8-bit grey: the bent length in pixels, at most 255, of the
+                          line within 1 px of a pixel's centre, else 0
     items/000012.json     camera, curves, origin; written last, so it marks a finished item
     card.json, card.png, contact_sheet.png   what the set holds
 
@@ -25,7 +27,7 @@ from classical.camera import KannalaBrandt
 from classical.files import atomic_path, remove_leftovers
 
 FORMAT = "straightlens-suite-1"
-_FOLDERS = ("pictures", "straight", "items")
+_FOLDERS = ("pictures", "straight", "lines", "items")
 _POINT_DIGITS = 3
 _RAY_DIGITS = 7
 
@@ -84,6 +86,10 @@ class SuiteFolder:
         """The rectified truth."""
         return self.path / "straight" / f"{index:06d}.png"
 
+    def lines(self, index: int) -> Path:
+        """The line map."""
+        return self.path / "lines" / f"{index:06d}.png"
+
     def item(self, index: int) -> Path:
         """Camera and curves."""
         return self.path / "items" / f"{index:06d}.json"
@@ -130,10 +136,12 @@ class SuiteFolder:
         item: SuiteItem,
         picture: UInt8[ndarray, "h w 3"],
         straight: UInt8[ndarray, "h2 w2 3"],
+        lines: UInt8[ndarray, "h w"],
     ) -> None:
         """Write an item: pictures first, its JSON last."""
         write_png(self.picture(item.index), picture)
         write_png(self.straight(item.index), straight)
+        write_png(self.lines(item.index), lines)
         write_whole(self.item(item.index), json.dumps(_to_json(item)).encode())
 
     def read(self, index: int) -> SuiteItem:
@@ -145,11 +153,12 @@ class SuiteFolder:
         return (self.read(i) for i in self.indices())
 
 
-def write_png(path: Path, image: UInt8[ndarray, "h w 3"]) -> None:
-    """Write an RGB picture, whole or not at all; the same pixels give the same bytes."""
+def write_png(path: Path, image: UInt8[ndarray, "h w 3"] | UInt8[ndarray, "h w"]) -> None:
+    """Write an RGB or a grey picture, whole or not at all; the same pixels give the same bytes."""
     import cv2
 
-    done, data = cv2.imencode(".png", np.ascontiguousarray(image[..., ::-1]))
+    bgr = image[..., ::-1] if image.ndim == 3 else image
+    done, data = cv2.imencode(".png", np.ascontiguousarray(bgr))
     if not done:
         raise OSError(f"cannot encode a picture for {path}")
     write_whole(path, data.tobytes())

@@ -25,8 +25,9 @@ from learned.slf.photometry import PhotometryCfg, photographed
 from learned.slf.planes import draw_planes, plane_segments, render_planes
 from learned.slf.priors import lens_prior
 from learned.slf.rectify import rectified
-from learned.slf.strokes import Segments3D, Strokes, bent_strokes
+from learned.slf.strokes import CLIPPED_LENGTH, Segments3D, Strokes, bent_strokes, draw_line_map
 from learned.slf.suite import SuiteCurve, SuiteFolder, SuiteItem
+from learned.slf.wireframes import Photograph
 
 _DWIREFRAME, _PANORAMAS = 11, 12
 _LONGEST_PHOTOGRAPH = 1280
@@ -59,31 +60,39 @@ class SetCfg:
 
 @dataclass(frozen=True)
 class Made:
-    """An item with its pictures."""
+    """An item with its pictures.
+
+    Attributes:
+        item: Camera and curves.
+        picture: The fisheye photograph.
+        straight: The rectified truth.
+        lines: Its line map; see `line_bytes`.
+    """
 
     item: SuiteItem
     picture: UInt8[ndarray, "h w 3"]
     straight: UInt8[ndarray, "h2 w2 3"]
+    lines: UInt8[ndarray, "h w"]
 
 
-def make_dwireframe(photographs: Sequence[Path], index: int, config: SetCfg) -> Made:
+def make_dwireframe(photographs: Sequence[Photograph], index: int, config: SetCfg) -> Made:
     """One photograph bent by one lens; photographs come round in shuffled order.
 
     Args:
-        photographs: Files, in a fixed order.
+        photographs: In a fixed order, with their annotation files if they have any.
         index: Number of the item.
         config: Lenses, size and seed.
     """
     order = np.random.default_rng([config.seed, _DWIREFRAME]).permutation(len(photographs))
-    path = photographs[order[index % len(photographs)]]
+    photograph = photographs[order[index % len(photographs)]]
     rng = np.random.default_rng([config.seed, _DWIREFRAME, index])
     lenses = lens_prior(config.prior).sample(rng, 1)
     lens = optics(lenses, size=config.size)
-    atlas = _photograph_atlas(path)
+    atlas = _photograph_atlas(photograph)
     planes = draw_planes(rng, atlas, atlas.of_kind(0), 1, upright=True)
     picture = render_planes(atlas, planes, plane_points(lens, oversampling=config.oversampling))
     segments = plane_segments(atlas, planes)
-    return _made(index, lenses, lens, picture, segments, path.stem, rng, config)
+    return _made(index, lenses, lens, picture, segments, photograph.path.stem, rng, config)
 
 
 def make_panorama_cut(panoramas: Sequence[Path], index: int, config: SetCfg) -> Made:
@@ -135,7 +144,7 @@ def synthesize(
     pool = WorkPool(workers=max(1, min(workers, len(missing))), cluster=cluster)
     with _one_thread(), pool:
         for made in pool.ordered(make, missing):
-            folder.write(made.item, made.picture, made.straight)
+            folder.write(made.item, made.picture, made.straight, made.lines)
             if progress is not None:
                 progress()
 
@@ -187,6 +196,12 @@ def to_bytes(image: Float[Tensor, "3 h w"]) -> UInt8[ndarray, "h w 3"]:
     return (image.clamp(0, 1) * 255).round().byte().permute(1, 2, 0).cpu().numpy()
 
 
+def line_bytes(strokes: Strokes, size: int) -> UInt8[ndarray, "h w"]:
+    """The line map of one sample: min(length, 255) of the line that covers a pixel, else 0."""
+    drawn = draw_line_map(strokes, batch=1, size=size)[0, 0]
+    return (drawn * CLIPPED_LENGTH).round().byte().cpu().numpy()
+
+
 def _made(
     index: int,
     lenses: LensBatch,
@@ -209,7 +224,8 @@ def _made(
         curves=suite_curves(strokes, segments, 0),
         origin=origin,
     )
-    return Made(item, to_bytes(image[0]), to_bytes(rectified(clean, lens)[0]))
+    straight = to_bytes(rectified(clean, lens)[0])
+    return Made(item, to_bytes(image[0]), straight, line_bytes(strokes, config.size))
 
 
 def _pose_with_lines(
@@ -232,8 +248,8 @@ def _pose_with_lines(
 
 
 @lru_cache(maxsize=4)
-def _photograph_atlas(path: Path) -> Atlas:
-    return build_atlas([annotated_photograph(path, longest=_LONGEST_PHOTOGRAPH)])
+def _photograph_atlas(photograph: Photograph) -> Atlas:
+    return build_atlas([annotated_photograph(photograph, longest=_LONGEST_PHOTOGRAPH)])
 
 
 @lru_cache(maxsize=32)

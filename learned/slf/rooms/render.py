@@ -29,7 +29,7 @@ from learned.slf.rooms.scenes import draw_scene
 from learned.slf.rooms.sight import Hits, TracedSight
 from learned.slf.strokes import Segments3D, Strokes
 from learned.slf.suite import SuiteItem, write_png
-from learned.slf.synthesis import Made, SetCfg, suite_curves, true_camera
+from learned.slf.synthesis import Made, SetCfg, line_bytes, suite_curves, true_camera
 
 _ROOMS = 13
 _PATTERNS = 44
@@ -202,7 +202,7 @@ def make_room(studio: RoomStudio, index: int, config: SetCfg) -> Made:
         origin="street" if scene.is_open else "room",
         credits=furniture.credits(scene) if furniture else (),
     )
-    return Made(item, fisheye, straight)
+    return Made(item, fisheye, straight, line_bytes(strokes, config.size))
 
 
 def _pose_with_lines(
