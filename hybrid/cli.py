@@ -112,3 +112,7 @@ def main() -> None:
         logging.getLogger(name).setLevel(logging.CRITICAL)
     os.environ.setdefault("OPENCV_LOG_LEVEL", "SILENT")
     sys.exit(run())
+
+
+if __name__ == "__main__":  # `accelerate launch -m hybrid.cli`
+    main()

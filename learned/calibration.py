@@ -13,13 +13,14 @@ from typing import Literal
 import torch
 from jaxtyping import Float
 from torch import Tensor, nn
+from torch.nn import functional
 
 from learned.parameters import N_FREE, N_PARAMETERS
 from learned.pyramid import conv_norm
 from learned.rectification import pixel_grid
 from learned.resnet import stage
 
-Source = Literal["image", "heatmap", "features"]
+Source = Literal["image", "heatmap", "lineness"]
 _N_K = 5
 
 
@@ -29,7 +30,7 @@ class CalibrationCfg:
 
     Attributes:
         inputs: What it sees. The paper: picture I_f and heatmap L_f; either alone is an ablation.
-            "features" adds the last features of line perception (compact preset: a warm start).
+            "lineness" adds how sure of a line each pixel is, whatever the line's length (ours).
         reading: How 10x10x1024 comes out of 320x320. "conv-first": a stride-2 convolution, then
             stem and stages 1 to 3 (the overview figure has that convolution); "layer4": stem and
             stages 1 to 4, then a 1x1 convolution 2048 to 1024; "patch": 4x4 patches, then three
@@ -39,7 +40,12 @@ class CalibrationCfg:
         ratio: Narrowing inside a bottleneck.
         branch: Channels after the convolutions of the global branch.
         hidden: Width of the first fully connected layer (the paper does not say; 512).
+        places: 0: branches average over the map. Else they see `narrow` channels of so many by so
+            many places, and know what was where (ours; learns several times faster).
+        narrow: Channels of a place.
         multiscale: Local branch and fusion; without it the global branch alone (an ablation).
+        fusion: "mean" of the global and five local estimates (the paper), or "learned" weights
+            that start there.
         coordinates: Feed x, y and the squared radius of each pixel too (ours).
         covariance: Predict how far the parameters can be trusted (ours).
     """
@@ -51,15 +57,17 @@ class CalibrationCfg:
     ratio: int = 4
     branch: int = 1024
     hidden: int = 512
+    places: int = 0
+    narrow: int = 48
     multiscale: bool = True
+    fusion: Literal["mean", "learned"] = "mean"
     coordinates: bool = False
     covariance: bool = False
 
     def __post_init__(self) -> None:
-        if not self.inputs or set(self.inputs) - {"image", "heatmap", "features"}:
-            raise ValueError(f"expected inputs among image, heatmap, features, got {self.inputs}")
-        if "features" in self.inputs and self.reading != "patch":
-            raise ValueError('expected reading="patch" where "features" are an input')
+        known = ("image", "heatmap", "lineness")
+        if not self.inputs or set(self.inputs) - set(known):
+            raise ValueError(f"expected inputs among {', '.join(known)}, got {self.inputs}")
 
 
 @dataclass(frozen=True)
@@ -67,7 +75,7 @@ class CalibrationOutput:
     """Parameters in the coordinates of `Parameters`, before they become k.
 
     Attributes:
-        fused: Mean of global and local for k1..k5, global for the rest.
+        fused: Fusion of global and local for k1..k5, global for the rest.
         glob: Global branch.
         local: The five regions: upper left, lower left, upper right, lower right, centre.
         cholesky: Lower factor of the precision of the free coordinates, or None.
@@ -84,16 +92,15 @@ class CalibrationOutput:
 class Backbone(nn.Module):
     """Stages L1 to L4 to a 10x10 map for 320x320."""
 
-    def __init__(self, cfg: CalibrationCfg, *, feature_channels: int) -> None:
+    def __init__(self, cfg: CalibrationCfg) -> None:
         super().__init__()
         self.cfg = cfg
-        channels = 3 * ("image" in cfg.inputs) + ("heatmap" in cfg.inputs) + 3 * cfg.coordinates
-        self.channels = channels
+        maps = ("heatmap" in cfg.inputs) + ("lineness" in cfg.inputs)
+        channels = 3 * ("image" in cfg.inputs) + maps + 3 * cfg.coordinates
         first = cfg.widths[0]
-        deep = feature_channels if "features" in cfg.inputs else 0
         if cfg.reading == "patch":
             self.stem: nn.Module = nn.Conv2d(channels, first, 4, 4)
-            self.join: nn.Module = conv_norm(first + deep, first, 1)
+            self.join: nn.Module = conv_norm(first, first, 1)
         else:
             half = [conv_norm(channels, 16, 3, stride=2)] if cfg.reading == "conv-first" else []
             before = 16 if half else channels
@@ -109,15 +116,11 @@ class Backbone(nn.Module):
         self.channels_out = wide // 2 if cfg.reading == "layer4" else wide
 
     def forward(
-        self, seen: Float[Tensor, "b c h w"], features: Float[Tensor, "b d hq wq"] | None
+        self, seen: Float[Tensor, "b c h w"]
     ) -> tuple[Float[Tensor, "b e hs ws"], tuple[Tensor, ...]]:
         """The map F_c and the four stages' features."""
         start = self.stem(seen)
-        if self.cfg.reading == "patch":
-            both = [start] if features is None else [start, features]
-            here = self.join(torch.cat(both, 1))
-        else:
-            here = self.join(start)
+        here = self.join(start)
         stages = [here if self.cfg.reading == "patch" else start]
         for part in self.stages:
             here = part(here)
@@ -126,19 +129,29 @@ class Backbone(nn.Module):
 
 
 class _Branch(nn.Module):
-    """Pooling and two fully connected layers."""
+    """Average, or what is where, and two fully connected layers."""
 
-    def __init__(self, channels: int, hidden: int, out: int) -> None:
+    def __init__(self, channels: int, cfg: CalibrationCfg, places: int, out: int) -> None:
         super().__init__()
-        self.first = nn.Linear(channels, hidden)
-        self.last = nn.Linear(hidden, out)
+        self.places = places
+        self.narrow = nn.Conv2d(channels, cfg.narrow, 1) if places else nn.Identity()
+        inside = cfg.narrow * places**2 if places else channels
+        self.first = nn.Linear(inside, cfg.hidden)
+        self.last = nn.Linear(cfg.hidden, out)
         nn.init.normal_(self.last.weight, std=0.01)
         nn.init.zeros_(self.last.bias)
 
     def forward(self, region: Float[Tensor, "b c h w"]) -> Float[Tensor, "b n"]:
         """One vector for a region of the map."""
+        if self.places:
+            region = torch.relu(self.narrow(region))
+            if region.shape[-2:] != (self.places, self.places):
+                size = (self.places, self.places)
+                region = functional.interpolate(region, size, mode="bilinear", align_corners=False)
         with torch.autocast(region.device.type, enabled=False):  # precision is all that counts here
-            return self.last(torch.relu(self.first(region.float().mean((2, 3)))))
+            region = region.float()
+            flat = region.flatten(1) if self.places else region.mean((2, 3))
+            return self.last(torch.relu(self.first(flat)))
 
 
 class Calibration(nn.Module):
@@ -150,58 +163,75 @@ class Calibration(nn.Module):
 
     temperature: Tensor
 
-    def __init__(self, cfg: CalibrationCfg, *, feature_channels: int) -> None:
+    def __init__(self, cfg: CalibrationCfg) -> None:
         super().__init__()
         self.cfg = cfg
-        self.backbone = Backbone(cfg, feature_channels=feature_channels)
+        self.backbone = Backbone(cfg)
         channels = self.backbone.channels_out
         self.convs = nn.Sequential(
             conv_norm(channels, cfg.branch, 1), conv_norm(cfg.branch, cfg.branch, 3)
         )
-        self.glob = _Branch(cfg.branch, cfg.hidden, N_PARAMETERS)
-        self.local = _Branch(channels, cfg.hidden, _N_K) if cfg.multiscale else None
+        self.glob = _Branch(cfg.branch, cfg, cfg.places, N_PARAMETERS)
+        self.local = self.fusion = None
+        if cfg.multiscale:
+            self.local = _Branch(channels, cfg, (cfg.places + 1) // 2, _N_K)
+            if cfg.fusion == "learned":
+                self.fusion = _Fusion()
         entries = N_FREE * (N_FREE + 1) // 2
-        self.spread = _Branch(cfg.branch, cfg.hidden, entries) if cfg.covariance else None
+        self.spread = _Branch(cfg.branch, cfg, cfg.places, entries) if cfg.covariance else None
         self.register_buffer("temperature", torch.ones(()))
 
     def forward(
         self,
         image: Float[Tensor, "b 3 h w"],
         heatmap: Float[Tensor, "b 1 h w"] | None,
-        features: Float[Tensor, "b d hq wq"] | None,
+        lineness: Float[Tensor, "b 1 h w"] | None,
     ) -> CalibrationOutput:
         """Estimate the lens; see `CalibrationOutput`."""
-        seen = self._inputs(image, heatmap)
-        deep = features if "features" in self.cfg.inputs else None
-        map_, stages = self.backbone(seen, deep)
+        map_, stages = self.backbone(self._inputs(image, heatmap, lineness))
         wide = self.convs(map_)
         glob = self.glob(wide).float()
         local = None
         fused = glob
         if self.local is not None:
             local = torch.stack([self.local(r) for r in regions(map_)], 1).float()
-            mean = torch.cat([glob[:, None, :_N_K], local], 1).mean(1)
-            fused = torch.cat([mean, glob[:, _N_K:]], 1)
+            each = torch.cat([glob[:, None, :_N_K], local], 1)
+            k = each.mean(1) if self.fusion is None else self.fusion(each)
+            fused = torch.cat([k, glob[:, _N_K:]], 1)
         cholesky = None
         if self.spread is not None:
             entries = self.spread(wide.detach()).float()
             cholesky = cholesky_factor(entries) / self.temperature
         return CalibrationOutput(fused, glob, local, cholesky, stages)
 
-    def _inputs(self, image: Tensor, heatmap: Tensor | None) -> Tensor:
+    def _inputs(self, image: Tensor, heatmap: Tensor | None, lineness: Tensor | None) -> Tensor:
         parts = [2.0 * image - 1.0] if "image" in self.cfg.inputs else []
-        if "heatmap" in self.cfg.inputs:
-            assert heatmap is not None
-            parts.append(heatmap)
+        for name, map_ in (("heatmap", heatmap), ("lineness", lineness)):
+            if name in self.cfg.inputs:
+                assert map_ is not None
+                parts.append(map_)
         if self.cfg.coordinates:
             height, width = int(image.shape[-2]), int(image.shape[-1])
             at = pixel_grid(height, width, device=image.device).reshape(height, width, 2)
             square = at.square().sum(-1, keepdim=True)
             planes = torch.cat([at, square], -1).permute(2, 0, 1)
             parts.append(planes.to(image.dtype).expand(image.shape[0], -1, -1, -1))
-        if not parts:
-            parts = [torch.zeros_like(image[:, :0])]
         return torch.cat(parts, 1)
+
+
+class _Fusion(nn.Module):
+    """Weights of the six estimates for each of k1..k5; a sixth each at the start."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.mix = nn.Linear(6 * _N_K, _N_K)
+        nn.init.zeros_(self.mix.bias)
+        with torch.no_grad():
+            self.mix.weight.copy_(torch.eye(_N_K).repeat(1, 6) / 6)
+
+    def forward(self, each: Float[Tensor, "b 6 5"]) -> Float[Tensor, "b 5"]:
+        """One estimate from the global one and the five local ones."""
+        return self.mix(each.flatten(1))
 
 
 def regions(map_: Float[Tensor, "b c h w"]) -> list[Tensor]:

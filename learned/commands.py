@@ -35,11 +35,16 @@ import click
 @click.option("--size", default=320, show_default=True, help="Side of the frame in pixels.")
 @click.option("--seed", default=1, show_default=True, help="Of the data and the first weights.")
 @click.option(
-    "--echoes",
-    default=1,
+    "--ahead",
+    default=0,
     show_default=True,
-    type=click.IntRange(1, 4),
-    help="Use each synthesised batch so many times, mirrored.",
+    type=click.IntRange(0),
+    help="Make so many samples first and go over them in epochs; right for a CPU.",
+)
+@click.option(
+    "--samples",
+    type=click.Path(file_okay=False, path_type=Path),
+    help="Where these samples are kept; default: OUT/samples. Runs may share them.",
 )
 @click.option(
     "--wild",
@@ -68,7 +73,8 @@ def train(
     batch: int,
     size: int,
     seed: int,
-    echoes: int,
+    ahead: int,
+    samples: Path | None,
     wild: float,
     rate: float | None,
     fall: float | None,
@@ -107,7 +113,8 @@ def train(
         seed=seed,
         batch_size=batch,
         size=size,
-        echoes=echoes,
+        ahead=ahead,
+        samples=samples,
         data=StreamCfg(wild_share=wild),
         init=init,
         run=RunCfg(

@@ -187,3 +187,8 @@ class LinePerception(nn.Module):
         if self.cfg.target == "length":
             return (raw * (255.0 / 16.0)).clamp(0.0, 1.0)
         return torch.sigmoid(raw[:, :1])
+
+    def maps(self, image: Float[Tensor, "b 3 h w"]) -> Float[Tensor, "b 2 h w"]:
+        """Lineness and heatmap of pictures; see `forward`."""
+        raw = self(image.contiguous(memory_format=torch.channels_last)).raw
+        return torch.cat([self.lineness(raw), self.heatmap(raw)], 1)

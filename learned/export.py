@@ -62,7 +62,7 @@ def export_onnx(network: LaRecNet, folder: Path, *, size: int = 320) -> tuple[Pa
     image = torch.zeros(2, 3, size, size)
     lens = ["k"] + ["cholesky"] * (network.calibration.spread is not None)
     maps = ["heatmap", "lineness"]
-    uses_maps = bool(set(network.cfg.calibration.inputs) & {"heatmap", "features"})
+    uses_maps = bool(set(network.cfg.calibration.inputs) & {"heatmap", "lineness"})
     free = {0: "batch", 2: "height", 3: "width"}
     jobs = {
         "dlp": (_Lines(network.dlp), maps, {"image": free} | dict.fromkeys(maps, free)),

@@ -16,18 +16,19 @@ from torch import nn
 
 from learned.assess import fit_temperature
 from learned.dlp import LinePerception
-from learned.echo import Echoed
 from learned.larecnet import LaRecNet
 from learned.phases import DivisionPhase, PerceptionPhase, RectificationPhase
+from learned.pool import processor_count
 from learned.presets import SIZE, Preset
 from learned.rong import RongNet
+from learned.samples import Epochs, SamplesCfg, make_samples
 from learned.schedule import OptimCfg
 from learned.slf.atlas import load_atlas
 from learned.slf.batch import SlfBatch
 from learned.slf.priors import lens_prior
 from learned.slf.stream import SlfStream, StreamCfg
 from learned.train import Phase, RunCfg, averaged, train
-from learned.weights import load_weights, save_weights
+from learned.weights import load_perception, load_weights, save_weights
 
 Target = Literal["dlp", "larecnet", "rong"]
 WEIGHTS = "weights.safetensors"
@@ -51,7 +52,9 @@ class JobCfg:
         seed: Seed of weights and data.
         batch_size: Samples a step.
         size: Side of the square frame in pixels.
-        echoes: Times that each synthesised batch is used, mirrored.
+        ahead: Samples made before the training and used in every epoch; 0 makes each sample when
+            it is needed, and uses it once.
+        samples: Where they are kept, by default in the run folder; runs may share them.
         data: Mixture of scenes and lenses.
         init: Weights to start from: of the same network, or of line perception for LaRecNet.
         validation_batches: Batches of eight in a report.
@@ -67,7 +70,8 @@ class JobCfg:
     seed: int = 1
     batch_size: int = 8
     size: int = SIZE
-    echoes: int = 1
+    ahead: int = 0
+    samples: Path | None = None
     data: StreamCfg = field(default_factory=StreamCfg)
     init: Path | None = None
     validation_batches: int = 4
@@ -90,16 +94,15 @@ def run_job(job: JobCfg, *, resume: bool, cpu: bool = False, progress: bool = Tr
     here = PartialState(cpu=cpu)
     device = str(here.device)
     stream_cfg = replace(job.data, with_rectified=_needs_rectified(job))
-    stream = SlfStream(
-        load_atlas(job.pack).to(device), job.seed, job.batch_size, job.size, stream_cfg
-    )
+    atlas = load_atlas(job.pack).to(device)
+    stream = SlfStream(atlas, job.seed, job.batch_size, job.size, stream_cfg)
     validation = _validation(job, stream_cfg, device)
     network, phase, optim = _network(job)
     other = replace(stream, seed=job.seed + _OTHER_SEED, batch_size=8)
     average = train(
         network,
         phase,
-        Echoed(stream.batch, job.echoes),
+        _made_ahead(job) if job.ahead else stream.batch,
         validation,
         replace(job.run, steps=job.steps, optim=optim),
         folder=job.folder,
@@ -119,13 +122,30 @@ def run_job(job: JobCfg, *, resume: bool, cpu: bool = False, progress: bool = Tr
     return path
 
 
+def _made_ahead(job: JobCfg) -> Epochs:
+    """Batches of samples that are made, or found, before the training starts."""
+    cfg = SamplesCfg(
+        count=job.ahead,
+        size=job.size,
+        seed=job.seed,
+        pack=job.pack,
+        perception=job.init if job.target == "larecnet" else None,
+        data=job.data,
+    )
+    folder = job.samples or job.folder / "samples"
+    samples = make_samples(
+        folder, cfg, stride=job.preset.network.pixel_stride, workers=processor_count()
+    )
+    return Epochs(samples, job.seed, job.batch_size)
+
+
 def _network(job: JobCfg) -> tuple[nn.Module, Phase, OptimCfg]:
     """The network to train, initialised, with its phase and optimiser."""
     preset = job.preset
     if job.target == "dlp":
         perception = LinePerception(preset.network.dlp)
         if job.init is not None:
-            perception.load_state_dict(_perception(job.init).state_dict())
+            perception.load_state_dict(load_perception(job.init).state_dict())
         return perception, PerceptionPhase(preset.network.dlp), preset.optim_dlp
     if job.target == "rong":
         rong = RongNet(replace(preset.rong, frame=job.size))
@@ -148,14 +168,6 @@ def _initialise(network: LaRecNet, path: Path) -> None:
         network.load_state_dict(load_weights(path, LaRecNet).network.state_dict())
     except ValueError:
         network.dlp.load_state_dict(load_weights(path, LinePerception).network.state_dict())
-
-
-def _perception(path: Path) -> LinePerception:
-    """Line perception out of its own weights or out of LaRecNet's."""
-    try:
-        return load_weights(path, LinePerception).network
-    except ValueError:
-        return load_weights(path, LaRecNet).network.dlp
 
 
 def prior_samples() -> torch.Tensor:
@@ -188,7 +200,7 @@ def training_card(job: JobCfg, scores: dict[str, float]) -> dict[str, Any]:
         "seed": job.seed,
         "steps": job.steps,
         "batch": job.batch_size,
-        "echoes": job.echoes,
+        "samples made ahead": job.ahead,
         "size": job.size,
         "init": str(job.init.name) if job.init else "none",
         "commit": _commit(),

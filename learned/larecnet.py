@@ -72,7 +72,7 @@ class LaRecNet(nn.Module):
         self.cfg = cfg
         self.dlp = LinePerception(cfg.dlp).requires_grad_(False)
         self.parameters_of_lens = Parameters()
-        self.calibration = Calibration(cfg.calibration, feature_channels=cfg.dlp.width)
+        self.calibration = Calibration(cfg.calibration)
         channels = _stage_channels(cfg.calibration)
         self.uncertainty = AttentiveUncertainty(channels, width=cfg.uncertainty_width)
         self.dlp.eval()
@@ -83,24 +83,30 @@ class LaRecNet(nn.Module):
         self.dlp.eval()
         return self
 
-    def forward(self, image: Float[Tensor, "b 3 h w"], *, rectify: bool = False) -> LarecnetOutput:
+    def forward(
+        self,
+        image: Float[Tensor, "b 3 h w"],
+        *,
+        seen: Float[Tensor, "b 2 h w"] | None = None,
+        rectify: bool = False,
+    ) -> LarecnetOutput:
         """Estimate the lens of each picture.
 
         Args:
             image: RGB in [0, 1], height and width divide by `cfg.dlp.multiple`.
+            seen: Lineness and heatmap, where line perception has looked at the pictures before.
             rectify: Give the rectified picture and its uncertainty too, for L_pix.
 
         Returns:
             Lens, parameters of all branches, heatmap.
         """
-        heatmap = lineness = features = rectified = uncertainty = None
-        if set(self.cfg.calibration.inputs) & {"heatmap", "features"}:
-            with torch.no_grad():
-                seen = self.dlp(image)
-                heatmap = self.dlp.heatmap(seen.raw)
-                lineness = self.dlp.lineness(seen.raw)
-                features = seen.features
-        estimate = self.calibration(image, heatmap, features)
+        heatmap = lineness = rectified = uncertainty = None
+        if set(self.cfg.calibration.inputs) & {"heatmap", "lineness"}:
+            if seen is None:
+                with torch.no_grad():
+                    seen = self.dlp.maps(image)
+            lineness, heatmap = seen[:, :1], seen[:, 1:]
+        estimate = self.calibration(image, heatmap, lineness)
         k = self.parameters_of_lens.decode(estimate.fused)
         if rectify:
             rectified, uncertainty = self._rectified(image, k, estimate)

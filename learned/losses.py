@@ -25,6 +25,8 @@ class LossCfg:
     Attributes:
         para: λ_para of Eq. loss.
         geo: λ_geo of Eq. loss (the ablation without L_geo sets 0).
+        geo_scale: L_geo of a picture counts as s·log(1 + L_geo / s) with this s in half widths
+            (ours; 0 = as it is, the paper).
         pix: λ_pix of Eq. loss (the ablation without L_pix sets 0).
         fused: λ_fus of Eq. p_loss.
         glob: λ_glo of Eq. p_loss.
@@ -38,6 +40,7 @@ class LossCfg:
 
     para: float = 1.0
     geo: float = 100.0
+    geo_scale: float = 0.0
     pix: float = 1.0
     fused: float = 2.0
     glob: float = 1.0
@@ -154,6 +157,7 @@ def geometric_loss(
     valid: Bool[Tensor, "b n"],
     *,
     line_weight: float,
+    scale: float = 0.0,
 ) -> Float[Tensor, ""]:
     """L_geo over Eq. struct loss: l1 distance of rectified positions, lines counted λ_m times.
 
@@ -163,13 +167,15 @@ def geometric_loss(
         on_line: Ω⁺.
         valid: Pixels that count: inside both lenses' limit of angle.
         line_weight: λ_m.
+        scale: s of `LossCfg.geo_scale`.
 
     Returns:
-        The loss; a mean over all pixels of Ω that count.
+        The loss; the mean over pictures of the mean over all pixels of Ω that count.
     """
     weight = torch.where(on_line, line_weight, 1.0) * valid
     distance = (predicted - target).abs().sum(-1)
-    return (distance * weight).sum() / valid.sum().clamp_min(1)
+    each = (distance * weight).sum(1) / valid.sum(1).clamp_min(1)
+    return (scale * torch.log1p(each / scale) if scale else each).mean()
 
 
 def pixel_loss(

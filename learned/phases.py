@@ -92,7 +92,7 @@ class RectificationPhase:
     def loss(self, module: nn.Module, batch: SlfBatch) -> tuple[Tensor, dict[str, Tensor]]:
         """λ_para L_para + λ_geo L_geo + λ_pix L_pix, and the likelihood of our covariance."""
         image = batch.image.contiguous(memory_format=torch.channels_last)
-        out: LarecnetOutput = module(image, rectify=self.cfg.pix > 0)
+        out: LarecnetOutput = module(image, seen=batch.seen, rectify=self.cfg.pix > 0)
         net = _inner(module)
         parts = {"para": self._parameters(net, out, batch)}
         total = self.cfg.para * parts["para"]
@@ -140,12 +140,19 @@ class RectificationPhase:
             <= torch.minimum(batch.theta_max, batch.theta_max.new_tensor(_THETA_COUNTED))[:, None]
         )
         return geometric_loss(
-            predicted, target, lines.flatten(1) > 0, valid, line_weight=self.cfg.line_weight
+            predicted,
+            target,
+            lines.flatten(1) > 0,
+            valid,
+            line_weight=self.cfg.line_weight,
+            scale=self.cfg.geo_scale,
         )
 
     def _pixels(self, out: LarecnetOutput, batch: SlfBatch, stride: int) -> Tensor:
         assert out.rectified is not None
-        target = functional.avg_pool2d(batch.rectified, stride) if stride > 1 else batch.rectified
+        target = batch.rectified
+        if target.shape[-1] == batch.image.shape[-1] and stride > 1:
+            target = functional.avg_pool2d(target, stride)
         return pixel_loss(out.rectified, target, out.uncertainty)
 
     @torch.no_grad()

@@ -51,9 +51,10 @@ class Preset:
 PAPER = Preset(name="paper")
 
 # The same parts, narrower. Differences from the paper, each because it learns more per second on a
-# CPU: patch stem and pixel-shuffle head, lineness besides length, line perception's last features
-# and pixel coordinates as further inputs of the calibration, regression in whitened coordinates
-# (where ω says how much each moves pixels), L_geo on every fourth pixel, L_pix at half size, AdamW.
+# CPU: patch stem and pixel-shuffle head, lineness besides length, pixel coordinates as further
+# inputs of the calibration, branches that know what is where, regression in whitened coordinates
+# (where ω says how much each moves pixels), L_geo on every fourth pixel and by its logarithm, so
+# that odd wide lenses do not drown all others, L_pix at a quarter of the size, AdamW.
 COMPACT = Preset(
     name="compact",
     network=LarecnetCfg(
@@ -68,13 +69,15 @@ COMPACT = Preset(
             pyramid=PyramidCfg(bottleneck=0.5, branch=1.0, scales=(0.5,)),
         ),
         calibration=CalibrationCfg(
-            inputs=("image", "heatmap", "features"),
+            inputs=("image", "heatmap", "lineness"),
             reading="patch",
             widths=(64, 128, 256, 384),
             blocks=(2, 3, 3),
             ratio=2,
             branch=256,
             hidden=256,
+            places=6,
+            fusion="learned",
             coordinates=True,
             covariance=True,
         ),
@@ -82,7 +85,8 @@ COMPACT = Preset(
         pixel_stride=4,
     ),
     loss=LossCfg(
-        geo=10.0,
+        geo=15.0,
+        geo_scale=0.1,
         pix=0.2,
         para=0.3,
         omega=(1.0, 0.8, 0.5, 0.4, 0.4, 0.0, 0.5, 0.8, 0.8),
@@ -121,8 +125,8 @@ def ablation(base: Preset, name: str) -> Preset:
     """A variant of the paper's ablation study, each one thing more than the one before.
 
     BL1 sees the picture alone and BL2 the heatmap alone; BL3 sees both; BL4 adds the local branch;
-    BL5 adds L_geo; BL6 adds L_pix with its uncertainty and is the paper's whole network. None sees
-    the features of line perception, which the compact preset feeds on besides.
+    BL5 adds L_geo; BL6 adds L_pix with its uncertainty and is the whole network. Where the preset
+    feeds on lineness, it comes with the heatmap.
 
     Args:
         base: Preset to vary.
@@ -134,10 +138,12 @@ def ablation(base: Preset, name: str) -> Preset:
     if name not in ABLATIONS:
         raise ValueError(f"expected an ablation among {ABLATIONS}, got {name!r}")
     level = ABLATIONS.index(name) + 1
-    inputs: dict[int, tuple[Source, ...]] = {1: ("image",), 2: ("heatmap",)}
+    whole = base.network.calibration.inputs
+    maps: tuple[Source, ...] = tuple(source for source in whole if source != "image")
+    inputs: dict[int, tuple[Source, ...]] = {1: ("image",), 2: maps}
     calibration = replace(
         base.network.calibration,
-        inputs=inputs.get(level, ("image", "heatmap")),
+        inputs=inputs.get(level, whole),
         multiscale=level >= 4,
     )
     loss = replace(

@@ -20,6 +20,8 @@ class SlfBatch:
         rectified: The clean fisheye picture rectified with `k`: pinhole f = W/2, principal point at
             the centre, black where the fisheye picture has nothing.
         theta_max: Largest incident angle that the lens images, in radians.
+        seen: What line perception sees in the picture, lineness and heatmap, where it is known
+            beforehand.
     """
 
     image: Float[Tensor, "b 3 h w"]
@@ -27,6 +29,7 @@ class SlfBatch:
     k: Float[Tensor, "b 9"]
     rectified: Float[Tensor, "b 3 h w"]
     theta_max: Float[Tensor, " b"]
+    seen: Float[Tensor, "b 2 h w"] | None = None
 
     def __len__(self) -> int:
         """Number of samples."""
@@ -34,5 +37,5 @@ class SlfBatch:
 
     def to(self, device: torch.device | str, *, non_blocking: bool = False) -> "SlfBatch":
         """The same batch on another device."""
-        moved = {n: v.to(device, non_blocking=non_blocking) for n, v in vars(self).items()}
-        return SlfBatch(**moved)
+        there = {n: v for n, v in vars(self).items() if v is not None}
+        return SlfBatch(**{n: v.to(device, non_blocking=non_blocking) for n, v in there.items()})

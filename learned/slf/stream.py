@@ -41,6 +41,7 @@ class StreamCfg:
             always take `paper`: a flat photograph cannot fill a wider lens.
         shortest_px: Bent lines shorter than this are not drawn.
         photometry: What a real camera does to the picture, or None for clean pictures.
+        clean_share: Share of the groups that stay clean all the same.
         layout: Sizes of the box scenes.
         pose: Camera poses of panoramas.
         oversampling: Rays per pixel and axis.
@@ -50,10 +51,11 @@ class StreamCfg:
         with_rectified: Whether to make the rectified ground truth; zeros otherwise.
     """
 
-    scenes: tuple[float, float, float] = (0.4, 0.4, 0.2)
+    scenes: tuple[float, float, float] = (0.45, 0.35, 0.2)
     wild_share: float = 0.8
     shortest_px: float = 12.0
     photometry: PhotometryCfg | None = field(default_factory=PhotometryCfg)
+    clean_share: float = 0.25
     layout: LayoutCfg = field(default_factory=LayoutCfg)
     pose: PoseCfg = field(default_factory=PoseCfg)
     oversampling: int = 1
@@ -123,7 +125,10 @@ class SlfStream:
                 self._render(content, lens[rows], clean, rows)
         lines = joined_strokes(strokes) if len(strokes) > 1 else strokes[0][0]
         image = clean
-        if self.config.photometry is not None:
+        stays_clean = (
+            np.random.default_rng([self.seed, 2, first]).random() < self.config.clean_share
+        )
+        if self.config.photometry is not None and not stays_clean:
             image = photographed(clean, lens, rng=rng, config=self.config.photometry)
         # zeros that take no memory
         flat = rectified(clean, lens) if self.config.with_rectified else clean.new_zeros(1)
@@ -212,7 +217,7 @@ def lens_block(
 
 def joined_batches(parts: list[SlfBatch]) -> SlfBatch:
     """Several batches as one."""
-    names = SlfBatch.__dataclass_fields__
+    names = [name for name, value in vars(parts[0]).items() if value is not None]
     return SlfBatch(**{name: torch.cat([getattr(p, name) for p in parts]) for name in names})
 
 

@@ -123,6 +123,14 @@ def load_weights(path: Path, kind: type[Network]) -> Loaded[Network]:
     return Loaded(network.eval(), card)
 
 
+def load_perception(path: Path) -> LinePerception:
+    """Line perception out of its own weights or out of LaRecNet's; see `load_weights`."""
+    try:
+        return load_weights(path, LinePerception).network
+    except ValueError:
+        return load_weights(path, LaRecNet).network.dlp
+
+
 def _read(path: Path, kind: type) -> tuple[dict[str, Tensor], dict[str, str]]:
     beside = path.with_suffix(".sha256")
     if beside.exists():
