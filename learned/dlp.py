@@ -68,12 +68,10 @@ class DlpOutput:
     Attributes:
         raw: Raw prediction at full size; one channel (length) or two (logit, length).
         side: Raw predictions of the earlier stacks, at full or a quarter of the size.
-        features: Features after the last hourglass, at a quarter of the size.
     """
 
     raw: Float[Tensor, "b c h w"]
     side: tuple[Float[Tensor, "b c hs ws"], ...]
-    features: Float[Tensor, "b d hq wq"]
 
 
 class _PatchStem(nn.Sequential):
@@ -158,7 +156,7 @@ class LinePerception(nn.Module):
             image: RGB in [0, 1]; height and width divide by `cfg.multiple`.
 
         Returns:
-            Raw predictions and the last features.
+            Raw predictions.
         """
         features = self.stem(2.0 * image - 1.0)
         side: list[Tensor] = []
@@ -168,7 +166,7 @@ class LinePerception(nn.Module):
             if i < len(self.side):
                 side.append(self.side[i](seen))
                 features = features + self.remix[i](seen)
-        return DlpOutput(raw=self.head(seen), side=tuple(side), features=seen)
+        return DlpOutput(raw=self.head(seen), side=tuple(side))
 
     def heatmap(self, raw: Float[Tensor, "b c h w"]) -> Float[Tensor, "b 1 h w"]:
         """The heatmap of Eq. line-map from a raw prediction, in [0, 1] for 0 to 255 px."""

@@ -4,7 +4,13 @@ import numpy as np
 import pytest
 import torch
 
-from learned.calibration import Calibration, CalibrationCfg, cholesky_factor, regions
+from learned.calibration import (
+    Calibration,
+    CalibrationCfg,
+    _Branch,
+    cholesky_factor,
+    regions,
+)
 from learned.config_json import from_json, to_json
 from learned.dlp import DlpCfg, LinePerception
 from learned.hourglass import PyramidCfg
@@ -73,7 +79,6 @@ def test_paper_preset_gives_a_map_of_ten_by_ten_by_1024() -> None:
         out = network(image, rectify=True)
         seen = network.dlp(image)
     assert seen.raw.shape == (1, 1, 320, 320)
-    assert seen.features.shape == (1, 256, 80, 80)
     assert len(seen.side) == 4
     assert out.estimate.stages[-1].shape == (1, 1024, 10, 10)
     assert out.uncertainty is not None
@@ -90,10 +95,10 @@ def test_both_readings_of_the_ten_by_ten_puzzle_fit(reading: str) -> None:
         branch=8,
         hidden=8,
     )
-    network = Calibration(cfg, feature_channels=0).eval()
+    network = Calibration(cfg).eval()
     with torch.inference_mode():
         image = torch.rand(1, 3, 320, 320)
-        map_, stages = network.backbone(torch.cat([image, image[:, :1]], 1), None)
+        map_, stages = network.backbone(torch.cat([image, image[:, :1]], 1))
         out = network(image, image[:, :1], None)
     assert map_.shape == (1, 16, 10, 10)
     assert len(stages) == 4
@@ -108,8 +113,10 @@ def test_regions_are_four_quarters_of_5x5_and_a_centre_of_6x6() -> None:
     assert corners == [0, 50, 5, 55, 22]  # UL, LL, UR, LR, centre
 
 
-def test_fusion_is_the_mean_of_global_and_five_local_estimates() -> None:
-    network = LaRecNet(TINY).eval()
+@pytest.mark.parametrize("fusion", ["mean", "learned"])
+def test_fusion_starts_as_the_mean_of_global_and_five_local_estimates(fusion: str) -> None:
+    calibration = replace(TINY.calibration, fusion=fusion)
+    network = LaRecNet(replace(TINY, calibration=calibration)).eval()
     for branch in (network.calibration.glob, network.calibration.local):
         assert branch is not None
         torch.nn.init.normal_(branch.last.weight)
@@ -120,15 +127,40 @@ def test_fusion_is_the_mean_of_global_and_five_local_estimates() -> None:
     torch.testing.assert_close(estimate.fused[0, 5:], estimate.glob[0, 5:])
 
 
-@pytest.mark.parametrize("inputs", [("image",), ("heatmap",), ("image", "heatmap")])
+@pytest.mark.parametrize("inputs", [("image",), ("heatmap", "lineness"), ("image", "heatmap")])
 @pytest.mark.parametrize("multiscale", [True, False])
 def test_ablations_differ_by_one_field(inputs: tuple[str, ...], multiscale: bool) -> None:
     calibration = replace(TINY.calibration, inputs=inputs, multiscale=multiscale)
     network = LaRecNet(replace(TINY, calibration=calibration)).eval()
     out = network(torch.rand(1, 3, 64, 64))
-    assert (out.heatmap is not None) == ("heatmap" in inputs)
+    assert (out.heatmap is not None) == (inputs != ("image",))
     assert (out.estimate.local is not None) == multiscale
     assert out.k.shape == (1, 9)
+
+
+def test_only_branches_with_places_know_what_is_where() -> None:
+    torch.manual_seed(0)
+    map_ = torch.rand(1, 8, 6, 6)
+    turned = map_.flip((2, 3))
+    cfg = replace(TINY.calibration, narrow=4)
+    for places, knows in ((0, False), (6, True)):
+        branch = _Branch(8, cfg, places, 3)
+        torch.nn.init.normal_(branch.last.weight)
+        same = torch.allclose(branch(map_), branch(turned), atol=1e-5)
+        assert same != knows
+
+
+def test_lines_seen_before_are_not_looked_for_again() -> None:
+    network = LaRecNet(TINY).eval()
+    image = torch.rand(2, 3, 64, 64)
+    with torch.inference_mode():
+        seen = network.dlp.maps(image)
+        ahead = network(image, seen=seen)
+        fresh = network(image)
+        other = network(image, seen=torch.zeros_like(seen))
+    torch.testing.assert_close(ahead.k, fresh.k)
+    assert other.heatmap is not None
+    assert not other.heatmap.any()
 
 
 def test_no_inputs_are_refused() -> None:
@@ -249,10 +281,11 @@ def test_each_ablation_adds_one_thing(base: Preset) -> None:
         variant = ablation(base, name)
         calibration, loss = variant.network.calibration, variant.loss
         seen.append((calibration.inputs, calibration.multiscale, loss.geo > 0, loss.pix > 0))
-    both = ("image", "heatmap")
+    both = base.network.calibration.inputs
+    assert both[0] == "image"
     assert seen == [
-        (("image",), False, False, False),
-        (("heatmap",), False, False, False),
+        (both[:1], False, False, False),
+        (both[1:], False, False, False),
         (both, False, False, False),
         (both, True, False, False),
         (both, True, True, False),

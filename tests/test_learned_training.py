@@ -6,9 +6,9 @@ import pytest
 import torch
 
 from learned.dlp import DlpCfg, LinePerception
-from learned.echo import Echoed, mirrored
 from learned.hourglass import PyramidCfg
 from learned.larecnet import LaRecNet, LarecnetCfg
+from learned.mirror import mirrored
 from learned.phases import (
     DivisionPhase,
     PerceptionPhase,
@@ -182,22 +182,6 @@ def test_mirrored_lens_rectifies_the_mirrored_picture(dims: tuple[int, ...]) -> 
     batch = mirrored(grids(5), dims)
     again = rectify_images(batch.image, batch.k)
     torch.testing.assert_close(again, batch.rectified, atol=1e-4, rtol=0)
-
-
-def test_echoes_depend_on_the_number_alone() -> None:
-    calls: list[int] = []
-
-    def source(number: int) -> SlfBatch:
-        calls.append(number)
-        return grids(number)
-
-    forward = [Echoed(source, 3)(i).image for i in range(4)]
-    assert calls == [0, 0, 0, 1]  # a fresh one each
-    calls.clear()
-    one = Echoed(source, 3)
-    together = [one(i).image for i in range(4)]
-    assert calls == [0, 1]
-    assert all(torch.equal(a, b) for a, b in zip(forward, together, strict=True))
 
 
 def test_rate_divides_by_ten_at_half_time_or_rises_holds_and_falls() -> None:
