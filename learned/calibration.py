@@ -128,7 +128,7 @@ class Backbone(nn.Module):
         return self.last(here), tuple(stages[-4:])
 
 
-class _Branch(nn.Module):
+class Branch(nn.Module):
     """Average, or what is where, and two fully connected layers."""
 
     def __init__(self, channels: int, cfg: CalibrationCfg, places: int, out: int) -> None:
@@ -171,14 +171,14 @@ class Calibration(nn.Module):
         self.convs = nn.Sequential(
             conv_norm(channels, cfg.branch, 1), conv_norm(cfg.branch, cfg.branch, 3)
         )
-        self.glob = _Branch(cfg.branch, cfg, cfg.places, N_PARAMETERS)
+        self.glob = Branch(cfg.branch, cfg, cfg.places, N_PARAMETERS)
         self.local = self.fusion = None
         if cfg.multiscale:
-            self.local = _Branch(channels, cfg, (cfg.places + 1) // 2, _N_K)
+            self.local = Branch(channels, cfg, (cfg.places + 1) // 2, _N_K)
             if cfg.fusion == "learned":
                 self.fusion = _Fusion()
         entries = N_FREE * (N_FREE + 1) // 2
-        self.spread = _Branch(cfg.branch, cfg, cfg.places, entries) if cfg.covariance else None
+        self.spread = Branch(cfg.branch, cfg, cfg.places, entries) if cfg.covariance else None
         self.register_buffer("temperature", torch.ones(()))
 
     def forward(

@@ -5,9 +5,9 @@ import pytest
 import torch
 
 from learned.calibration import (
+    Branch,
     Calibration,
     CalibrationCfg,
-    _Branch,
     cholesky_factor,
     regions,
 )
@@ -144,7 +144,7 @@ def test_only_branches_with_places_know_what_is_where() -> None:
     turned = map_.flip((2, 3))
     cfg = replace(TINY.calibration, narrow=4)
     for places, knows in ((0, False), (6, True)):
-        branch = _Branch(8, cfg, places, 3)
+        branch = Branch(8, cfg, places, 3)
         torch.nn.init.normal_(branch.last.weight)
         same = torch.allclose(branch(map_), branch(turned), atol=1e-5)
         assert same != knows
