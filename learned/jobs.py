@@ -115,7 +115,7 @@ def run_job(job: JobCfg, *, resume: bool, cpu: bool = False, progress: bool = Tr
         return path
     best = averaged(network, average)
     assert isinstance(best, (LaRecNet, LinePerception, RongNet))
-    if isinstance(best, LaRecNet):
+    if isinstance(best, LaRecNet) and best.cfg.calibration.covariance:
         fit_temperature(best, (other.batch(i) for i in range(_TEMPERATURE_BATCHES)))
     scores = phase.report(best, validation)[0] if validation else {}
     save_weights(path, best, training_card(job, scores))
