@@ -23,8 +23,23 @@ from eval.summary import MethodScores, SuiteScores, load_scores
 SHOWN = 2
 """Pictures of each kind: best, median, worst."""
 
-LineSource = Callable[[UInt8[ndarray, "h w 3"]], Float[ndarray, "h w"]]
 
+@dataclass(frozen=True)
+class NetworkMap:
+    """Something that the network sees in a photograph, to be shown beside the answers.
+
+    Attributes:
+        tag: Part of file names.
+        title: Heading.
+        values: Photograph to values in [0, 1], of any size.
+    """
+
+    tag: str
+    title: str
+    values: Callable[[UInt8[ndarray, "h w 3"]], Float[ndarray, "_ _"]]
+
+
+_UNSURE = 3.0  # times the mean; a larger U_A looks like it
 _WORST_SHOWN = 10.0  # pixels; larger expected errors look like it
 _SIDE = 240  # width of a picture in the report, pixels
 _QUALITY = 82
@@ -80,7 +95,7 @@ def choose(errors: Float[ndarray, " n"], names: Sequence[str]) -> list[tuple[int
     return sorted(chosen.items(), key=lambda item: (kinds.index(item[1]), order.index(item[0])))
 
 
-def write_gallery(suite: Suite, folder: RunFolder, *, heatmap: LineSource | None = None) -> None:
+def write_gallery(suite: Suite, folder: RunFolder, *, maps: Sequence[NetworkMap] = ()) -> None:
     """Choose cases by the primary method's aligned error and write their pictures.
 
     Real suites get, besides, the median case of each camera. `index.json` says what is where.
@@ -88,7 +103,7 @@ def write_gallery(suite: Suite, folder: RunFolder, *, heatmap: LineSource | None
     Args:
         suite: The test set.
         folder: Where its answers and scores are, and the pictures go.
-        heatmap: Gives the bent lines of a photograph in [0, 1], to be shown; see `network_lines`.
+        maps: What the network sees, to be shown; see `network_maps`.
     """
     scores = load_scores(folder)
     errors = scores.primary.values("aligned", "rpe")
@@ -98,9 +113,7 @@ def write_gallery(suite: Suite, folder: RunFolder, *, heatmap: LineSource | None
     folder.gallery.mkdir(exist_ok=True)
     cases = {case.name: case for case in suite.cases}
     rows = [
-        _write_row(
-            cases[scores.names[index]], kind, index, suite.theta_max, scores, folder, heatmap
-        )
+        _write_row(cases[scores.names[index]], kind, index, suite.theta_max, scores, folder, maps)
         for index, kind in picks
     ]
     record = {"by": scores.primary.method.full_name, "rows": [asdict(row) for row in rows]}
@@ -125,7 +138,7 @@ def _write_row(
     theta_max: float,
     scores: SuiteScores,
     folder: RunFolder,
-    heatmap: LineSource | None,
+    maps: Sequence[NetworkMap],
 ) -> Row:
     """Write all pictures of one case."""
     truth = Truth(case, theta_max)
@@ -142,10 +155,9 @@ def _write_row(
         pictures.append(_save_answer(folder, truth, answers[row.method.tag], row, index))
     text = "Rectified by the true camera"
     pictures.append(_save(folder, case, "truth", truth.straight, "Ground truth", text))
-    maps = _doubt_maps(folder, case, scores, answers)
-    if heatmap is not None:
-        maps.insert(0, _heatmap(folder, truth, heatmap))
-    return Row(case.name, case.group, kind, tuple(pictures), tuple(maps))
+    seen = [_network_map(folder, truth, each) for each in maps]
+    doubts = _doubt_maps(folder, case, scores, answers)
+    return Row(case.name, case.group, kind, tuple(pictures), (*seen, *doubts))
 
 
 def _doubt_maps(
@@ -168,22 +180,33 @@ def _doubt_maps(
     return maps
 
 
-def _heatmap(folder: RunFolder, truth: Truth, lines: LineSource) -> Picture:
-    """Bent lines as the network sees them, on the photograph at 320 px."""
-    picture = _colored(np.round(255 * np.clip(lines(truth.photo), 0, 1)).astype(np.uint8))
-    title = "Bent lines seen by the network, brighter for longer ones"
-    return _save(folder, truth.case, "heatmap", picture, title, title)
+def _network_map(folder: RunFolder, truth: Truth, seen: NetworkMap) -> Picture:
+    """A map of the network in colours."""
+    values = np.clip(np.nan_to_num(seen.values(truth.photo)), 0, 1)
+    picture = _colored(np.round(255 * values).astype(np.uint8))
+    return _save(folder, truth.case, seen.tag, picture, seen.title, seen.title)
 
 
-def network_lines() -> LineSource | None:
-    """The line perception of the weights that ship; `None` where none ship."""
+def network_maps() -> tuple[NetworkMap, ...]:
+    """Lines and uncertainty as the weights that ship see them; none where none ship."""
     from learned.predictor import Predictor
 
     try:
         predictor = Predictor.from_weights()
     except FileNotFoundError:
-        return None
-    return lambda picture: predictor.lines(picture, longest=FRAME_WIDTH).heatmap
+        return ()
+    return (
+        NetworkMap(
+            "heatmap",
+            "Bent lines seen by the network, brighter for longer ones",
+            lambda photo: predictor.lines(photo, longest=FRAME_WIDTH).heatmap,
+        ),
+        NetworkMap(
+            "uncertainty",
+            f"Where it finds the rectified picture hard: U_A, 0 to {_UNSURE:g} times its mean",
+            lambda photo: predictor.uncertainty(photo) / _UNSURE,
+        ),
+    )
 
 
 def _save_answer(

@@ -7,8 +7,10 @@ Importing this module loads torch.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, replace
+from typing import TypeVar
 
 import numpy as np
 from jaxtyping import Float, UInt8
@@ -35,6 +37,7 @@ from hybrid.result import Calibration
 from learned.predictor import Predictor
 
 _NETWORK = "network"
+Answer = TypeVar("Answer")
 
 
 @dataclass(frozen=True)
@@ -87,9 +90,15 @@ class HybridEstimator:
         if failure is not None:
             return failure
         cfg = self._hybrid
-        predictions = [self._predictor.lens(picture) for picture in pictures]
-        belief = network_belief(predictions)
-        circles = [find_image_circle(picture) for picture in pictures]
+        with ThreadPoolExecutor(max_workers=1) as networks:
+            # the networks look while edges are found; threads=1 does one after the other
+            submit = _at_once if self._config.threads == 1 else networks.submit
+            heat = [submit(self._lineness, picture) for picture in pictures]
+            lenses = [submit(self._predictor.lens, picture) for picture in pictures]
+            circles = [find_image_circle(picture) for picture in pictures]
+            curves = [self._curves(*pair) for pair in zip(pictures, heat, strict=True)]
+            belief = network_belief([lens.result() for lens in lenses])
+        heatmaps = tuple(each.result() for each in heat)
         observations = given_by_user(self._config, circles, width)
         starts = []
         if belief is not None:
@@ -99,11 +108,8 @@ class HybridEstimator:
                     of_belief_field(belief, _NETWORK, doubt=cfg.field_doubt),
                     of_belief(belief, _NETWORK, doubt=cfg.shape_doubt),
                 ]
-        heatmaps = tuple(
-            self._predictor.lines(picture, longest=cfg.longest).lineness for picture in pictures
-        )
         fit = fit_lens(
-            [self._curves(*pair) for pair in zip(pictures, heatmaps, strict=True)],
+            curves,
             width,
             height,
             config=FitConfig(
@@ -115,12 +121,22 @@ class HybridEstimator:
         )
         return replace(estimate_from_fit(fit), heatmaps=heatmaps)
 
+    def _lineness(self, picture: UInt8[ndarray, "h w 3"]) -> Float[ndarray, "hh ww"]:
+        return self._predictor.lines(picture, longest=self._hybrid.longest).lineness
+
     def _curves(
-        self, picture: UInt8[ndarray, "h w 3"], heatmap: Float[ndarray, "hh ww"]
+        self, picture: UInt8[ndarray, "h w 3"], heatmap: Future[Float[ndarray, "hh ww"]]
     ) -> list[Curve]:
         """Edges of the picture, and curves of the heatmap that are not among them."""
         if not self._hybrid.snaps:
-            return centre_curves(heatmap, picture.shape[1], picture.shape[0])
+            return centre_curves(heatmap.result(), picture.shape[1], picture.shape[0])
         if not self._hybrid.adds_edges:
-            return curves_from_heatmap(heatmap, picture)
-        return curves_from_both(heatmap, picture)
+            return curves_from_heatmap(heatmap.result(), picture)
+        return curves_from_both(heatmap.result, picture)
+
+
+def _at_once(function: Callable[..., Answer], *arguments: object) -> Future[Answer]:
+    """What an executor's `submit` gives, with the work done."""
+    done: Future[Answer] = Future()
+    done.set_result(function(*arguments))
+    return done

@@ -120,6 +120,22 @@ class Predictor:
 
     @torch.inference_mode()
     @_one_thread()
+    def uncertainty(self, image: ndarray) -> Float[ndarray, "s s"]:
+        """U_A: where the rectified picture is hard to get right, with mean 1.
+
+        Args:
+            image: As for `lens`.
+
+        Returns:
+            Over the network's own square rectified frame, smaller by its `pixel_stride`.
+        """
+        tensor = as_tensor(image).to(self.device)
+        box = Letterbox(tensor.shape[3], tensor.shape[2], self.network.cfg.frame)
+        out = self.network(_fast(box.fill(tensor)), rectify=True)
+        return out.uncertainty[0, 0].float().cpu().numpy()
+
+    @torch.inference_mode()
+    @_one_thread()
     def lines(self, image: ndarray, *, longest: int = 640) -> LinePrediction:
         """Find bent lines at a chosen resolution.
 

@@ -7,6 +7,7 @@ is. All that follows is the same, see `arcs`.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
 import cv2
@@ -158,7 +159,7 @@ def curves_from_heatmap(
 
 
 def curves_from_both(
-    heatmap: Float[np.ndarray, "hh ww"],
+    heatmap: Float[np.ndarray, "hh ww"] | Callable[[], Float[np.ndarray, "hh ww"]],
     image: UInt8[np.ndarray, "h w *c"],
     *,
     config: HeatmapCurvesConfig = HeatmapCurvesConfig(),
@@ -167,7 +168,8 @@ def curves_from_both(
     """Edges of the picture, and what the heatmap marks beyond them.
 
     Args:
-        heatmap: Heat per pixel, high on lines, of the same view as `image` at any resolution.
+        heatmap: Heat per pixel, high on lines, of the same view as `image` at any resolution; or
+            what gives it: it is asked when the edges are found, and may be made meanwhile.
         image: Grey (h, w) or RGB (h, w, 3), uint8.
         config: How curves are taken from the heatmap.
         edges: How curves are taken from the picture.
@@ -181,6 +183,7 @@ def curves_from_both(
     arcs = _edge_arcs(detect_edges(work, config=edges.edges), surround, edges)
     arcs = longest_arcs(arcs, edges.max_curves)
     curves = finish_curves(arcs, full, scale, edges.refinement)
+    heatmap = heatmap() if callable(heatmap) else heatmap
     ridges = detect_ridges(heatmap, config=config.ridges)
     centre = _centre_lines(ridges, arcs, work, config)
     ratio = work.shape[1] / heatmap.shape[1]
