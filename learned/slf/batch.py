@@ -18,7 +18,7 @@ class SlfBatch:
         k: (k1..k5, m_u, m_v, u0, v0) in half image widths: m / (W/2) and
             (u0 − (W−1)/2) / (W/2), (v0 − (H−1)/2) / (W/2); the gauge is m_u / (W/2) = 1.
         rectified: The clean fisheye picture rectified with `k`: pinhole f = W/2, principal point at
-            the centre, black where the fisheye picture has nothing.
+            the centre, black where the fisheye picture has nothing; or an integral factor smaller.
         theta_max: Largest incident angle that the lens images, in radians.
         seen: What line perception sees in the picture, lineness and heatmap, where it is known
             beforehand.
@@ -27,7 +27,7 @@ class SlfBatch:
     image: Float[Tensor, "b 3 h w"]
     line_map: Float[Tensor, "b 1 h w"]
     k: Float[Tensor, "b 9"]
-    rectified: Float[Tensor, "b 3 h w"]
+    rectified: Float[Tensor, "b 3 hr wr"]
     theta_max: Float[Tensor, " b"]
     seen: Float[Tensor, "b 2 h w"] | None = None
 
