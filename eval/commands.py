@@ -109,22 +109,22 @@ def _run(
     spread: dict[str, Any],
 ) -> None:
     """Both loops and the pictures for the report, with progress on stderr."""
-    from eval.gallery import network_lines, write_gallery
+    from eval.gallery import network_maps, write_gallery
     from eval.predict import pending, predict_suite
     from eval.score import score_suite
 
     answers = predict_suite(suite, methods, folder, **spread)
-    _progress(f"{suite.name}: estimate", answers)
+    show_progress(f"{suite.name}: estimate", answers)
     known = (*METHODS, *TOGETHER)
     complete = [method for method in known if not pending(suite, {method: {}}, folder)]
     scores = score_suite(suite.cases, suite.theta_max, complete, folder, **spread)
-    _progress(f"{suite.name}: score", scores)
+    show_progress(f"{suite.name}: score", scores)
     uses_network = any(method.estimator in ("learned", "hybrid") for method in complete)
-    write_gallery(suite, folder, heatmap=network_lines() if uses_network else None)
+    write_gallery(suite, folder, maps=network_maps() if uses_network else ())
 
 
-def _progress(title: str, steps: Iterator[tuple[int, int]]) -> None:
-    """Show (done, total) pairs as they come."""
+def show_progress(title: str, steps: Iterator[tuple[int, int]]) -> None:
+    """Show (done, total) pairs as they come, on stderr."""
     with tqdm(desc=title, unit="picture", disable=None) as bar:
         for done, total in steps:
             bar.total = total
