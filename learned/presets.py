@@ -85,8 +85,8 @@ COMPACT = Preset(
         pixel_stride=4,
     ),
     loss=LossCfg(
-        geo=15.0,
-        geo_scale=0.1,
+        geo=10.0,
+        geo_scale=0.3,
         pix=0.2,
         para=0.3,
         omega=(1.0, 0.8, 0.5, 0.4, 0.4, 0.0, 0.5, 0.8, 0.8),
