@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING
 import click
 
 from classical.files import atomic_path
-from eval.commands import show_progress
 
 if TYPE_CHECKING:
     from eval.ablation import Variant
@@ -167,6 +166,7 @@ def _numbers(seeds: str) -> list[int]:
 def _test(suite: Suite, out: Path, workers: int) -> None:
     """Answers and scores of all that is trained, by the loops of `evaluate`."""
     from eval.ablation import VariantFactory, claim_scores, settings_of_variants, trained
+    from eval.commands import show_progress
     from eval.predict import predict_suite
     from eval.score import score_suite
 

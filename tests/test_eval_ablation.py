@@ -3,6 +3,8 @@
 import csv
 import dataclasses
 import json
+import subprocess
+import sys
 from collections.abc import Callable
 from pathlib import Path
 
@@ -213,6 +215,11 @@ def test_misuse_is_refused_before_anything_is_trained(
 ) -> None:
     assert run(*words).exit_code == 2
     assert not trainings
+
+
+def test_help_comes_without_torch() -> None:
+    words = "import sys, eval.ablate_command; sys.exit('torch' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", words], check=False).returncode == 0
 
 
 def test_table_of_an_empty_folder_is_refused(run: Command) -> None:
