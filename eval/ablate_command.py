@@ -12,7 +12,6 @@ from classical.files import atomic_path
 if TYPE_CHECKING:
     from eval.ablation import Variant
     from eval.cases import Suite
-    from eval.summary import SuiteScores
 
 _TITLES = {"parts": "Parts of the network and of its loss", "data": "Training sets"}
 
@@ -23,7 +22,7 @@ _TITLES = {"parts": "Parts of the network and of its loss", "data": "Training se
     "pack",
     type=click.Path(exists=True, dir_okay=False, path_type=Path),
     help="Training pictures, a pack made by `straightlens synthesize`. Without it nothing is "
-    "trained, and the table is made of what --out holds.",
+    "trained, and the weights in --out are tested.",
 )
 @click.option(
     "--suite",
@@ -46,7 +45,8 @@ _TITLES = {"parts": "Parts of the network and of its loss", "data": "Training se
     default=["parts"],
     show_default=True,
     type=click.Choice(["parts", "data"]),
-    help="BL1 to BL6 (parts), or the whole network on three training sets (data).",
+    help="BL1 to BL6 (parts), or the whole network on three training sets (data); may be given "
+    "twice. Chooses what is trained and tested.",
 )
 @click.option("--variants", help="Train these only, separated by commas: BL1,…,BL6,SLF,SLF_sun.")
 @click.option(
@@ -116,14 +116,15 @@ def ablate(
     """Train the variants of the paper's ablation study and compare them with its table.
 
     All have one budget and seed and share their samples. What is trained is not trained again, and
-    what was stopped goes on; a folder keeps to one budget. The table shows all that --out holds.
+    what was stopped goes on; a folder keeps to one budget. The table shows all scores in --out.
     """
     import torch
 
-    from eval.ablation import STUDIES, Budget, claim_study, train_variant
+    from eval.ablation import STUDIES, Budget, claim_study, train_variant, trained
     from eval.open_suite import open_suite
 
-    chosen = _variants([v for study in studies for v in STUDIES[study]], variants)
+    known = list({v.trained: v for study in studies for v in STUDIES[study]}.values())
+    chosen = _variants(known, variants)
     numbers = _numbers(seeds)
     opened = [open_suite(path.resolve(), every=every) for path in suites]
     if threads is not None:
@@ -139,16 +140,17 @@ def ablate(
         for seed in numbers:
             for variant in chosen:
                 train_variant(variant, seed, pack, out, cpu=cpu)
-    for suite in opened:
-        _test(suite, out, workers)
-    click.echo(_write(opened, out))
+    for seed, there in trained(out, known).items():
+        for suite in opened:
+            _test(suite, out, seed, there, workers)
+    click.echo(_write(out))
 
 
 def _variants(known: list[Variant], names: str | None) -> list[Variant]:
-    """The variants of some names, each training once."""
-    by_name = {variant.trained: variant for variant in known}
+    """The variants of some names, by default all."""
     if names is None:
-        return list(by_name.values())
+        return known
+    by_name = {variant.trained: variant for variant in known}
     wanted = [name.strip() for name in names.split(",") if name.strip()]
     unknown = [name for name in wanted if name not in by_name]
     if unknown or not wanted:
@@ -163,45 +165,36 @@ def _numbers(seeds: str) -> list[int]:
         raise click.UsageError(f"expected seeds such as 1,2,3, got {seeds!r}") from error
 
 
-def _test(suite: Suite, out: Path, workers: int) -> None:
-    """Answers and scores of all that is trained, by the loops of `evaluate`."""
-    from eval.ablation import VariantFactory, claim_scores, settings_of_variants, trained
+def _test(suite: Suite, out: Path, seed: int, variants: list[Variant], workers: int) -> None:
+    """Answers and scores of trained variants, by the loops of `evaluate`."""
+    from eval.ablation import VariantFactory, claim_scores, settings_of_variants
     from eval.commands import show_progress
     from eval.predict import predict_suite
     from eval.score import score_suite
 
-    for seed, variants in trained(out).items():
-        folder = claim_scores(suite, variants, seed, out)
-        methods = settings_of_variants(variants, seed, out)
-        factory = VariantFactory(out, seed)
-        answers = predict_suite(suite, methods, folder, workers=workers, factory=factory)
-        show_progress(f"{suite.name}, seed {seed}: estimate", answers)
-        scores = score_suite(suite.cases, suite.theta_max, list(methods), folder, workers=workers)
-        show_progress(f"{suite.name}, seed {seed}: score", scores)
+    folder = claim_scores(suite, variants, seed, out)
+    methods = settings_of_variants(variants, seed, out)
+    factory = VariantFactory(out, seed)
+    answers = predict_suite(suite, methods, folder, workers=workers, factory=factory)
+    show_progress(f"{suite.name}, seed {seed}: estimate", answers)
+    scores = score_suite(suite.cases, suite.theta_max, list(methods), folder, workers=workers)
+    show_progress(f"{suite.name}, seed {seed}: score", scores)
 
 
-def _write(suites: list[Suite], out: Path) -> Path:
-    """Write table.md and table.csv from the scores."""
-    from eval.ablation import STUDIES, read_budget
+def _write(out: Path) -> Path:
+    """Write table.md and table.csv from all scores of the folder."""
+    from eval.ablation import STUDIES, read_budget, scored_suites
     from eval.ablation_table import budget_text, make_rows, to_csv, to_markdown
 
-    tables = []
-    for study, variants in STUDIES.items():
-        for suite in suites:
-            scores = _scores(suite, out)
-            rows = make_rows(variants, scores)
-            if len(rows) > 1 or (rows and study == "parts"):
-                tables.append((study, next(iter(scores.values())), rows))
+    tables = [
+        (study, next(iter(seeds.values())), rows)
+        for study, variants in STUDIES.items()
+        for seeds in scored_suites(out).values()
+        if len(rows := make_rows(variants, seeds)) > 1
+    ]
     parts = [to_markdown(_TITLES[study], suite, rows) for study, suite, rows in tables]
     text = "\n".join(["# Ablation", "", budget_text(read_budget(out)), "", *parts])
     for name, content in (("table.md", text), ("table.csv", to_csv(tables))):
         with atomic_path(out / name) as temporary:
             temporary.write_text(content, encoding="utf-8")
     return out / "table.md"
-
-
-def _scores(suite: Suite, out: Path) -> dict[int, SuiteScores]:
-    from eval.ablation import scores_folder, trained
-    from eval.summary import load_scores
-
-    return {seed: load_scores(scores_folder(out, seed, suite.name)) for seed in trained(out)}

@@ -25,6 +25,7 @@ from eval.folder import RunFolder, claim_folder
 from eval.methods import Method, method_of
 from eval.predict import Predictor, Settings
 from eval.prediction import Prediction
+from eval.summary import SuiteScores, load_scores
 from learned.config_json import from_json
 from learned.jobs import WEIGHTS, JobCfg, run_job
 from learned.larecnet import LaRecNet, LarecnetCfg
@@ -273,16 +274,16 @@ def _ask(network: Network, pictures: Sequence[UInt8[ndarray, "h w 3"]]) -> list[
     ]
 
 
-def trained(out: Path) -> dict[int, list[Variant]]:
-    """What a folder holds the weights of, by seed.
+def trained(out: Path, variants: Sequence[Variant]) -> dict[int, list[Variant]]:
+    """Which of these a folder holds the weights of, by seed.
 
     Raises:
         ValueError: If it holds none.
     """
-    known = {v.trained: v for variants in STUDIES.values() for v in variants}.values()
     files = out.glob(f"*/seed-*/{WEIGHTS}")
     seeds = sorted({int(file.parent.name.removeprefix("seed-")) for file in files})
-    found = {seed: [v for v in known if v.is_trained(out, seed)] for seed in seeds}
+    each = {seed: [v for v in variants if v.is_trained(out, seed)] for seed in seeds}
+    found = {seed: there for seed, there in each.items() if there}
     if not found:
         raise ValueError(f"expected trained variants in {out}, got none")
     return found
@@ -302,6 +303,15 @@ def claim_scores(suite: Suite, variants: Sequence[Variant], seed: int, out: Path
 def scores_folder(out: Path, seed: int, suite: str) -> RunFolder:
     """Where answers and scores on a suite lie."""
     return RunFolder(out / "scores" / f"seed-{seed}" / suite)
+
+
+def scored_suites(out: Path) -> dict[str, dict[int, SuiteScores]]:
+    """All scores of a study, by suite and seed."""
+    found: dict[str, dict[int, SuiteScores]] = {}
+    for config in sorted(out.glob("scores/seed-*/*/config.json")):
+        seed = int(config.parent.parent.name.removeprefix("seed-"))
+        found.setdefault(config.parent.name, {})[seed] = load_scores(RunFolder(config.parent))
+    return found
 
 
 def settings_of_variants(
