@@ -47,6 +47,14 @@ import click
     help="Where these samples are kept; default: OUT/samples. Runs may share them.",
 )
 @click.option(
+    "--scenes",
+    default=(0.45, 0.35, 0.2),
+    show_default=True,
+    nargs=3,
+    type=click.FloatRange(0, 1),
+    help="Shares of photographs as planes (D-Wireframe), boxes of photographs, panoramas.",
+)
+@click.option(
     "--wild",
     default=0.8,
     show_default=True,
@@ -75,6 +83,7 @@ def train(
     seed: int,
     ahead: int,
     samples: Path | None,
+    scenes: tuple[float, float, float],
     wild: float,
     rate: float | None,
     fall: float | None,
@@ -115,7 +124,7 @@ def train(
         size=size,
         ahead=ahead,
         samples=samples,
-        data=StreamCfg(wild_share=wild),
+        data=StreamCfg(scenes=scenes, wild_share=wild),
         init=init,
         run=RunCfg(
             steps=steps,
