@@ -12,7 +12,7 @@ from tqdm import tqdm
 
 from eval.cases import Suite
 from eval.folder import RunFolder, claim_folder, origin
-from eval.methods import METHODS, TOGETHER, Method, parse_methods
+from eval.methods import METHODS, STEPS, TOGETHER, WIREFRAME, Method, parse_methods
 from eval.open_suite import open_suite
 
 _ALL = ",".join(method.tag for method in METHODS)
@@ -115,7 +115,7 @@ def _run(
 
     answers = predict_suite(suite, methods, folder, **spread)
     show_progress(f"{suite.name}: estimate", answers)
-    known = (*METHODS, *TOGETHER)
+    known = (*METHODS, *WIREFRAME, *TOGETHER, *STEPS)
     complete = [method for method in known if not pending(suite, {method: {}}, folder)]
     scores = score_suite(suite.cases, suite.theta_max, complete, folder, **spread)
     show_progress(f"{suite.name}: score", scores)

@@ -17,6 +17,7 @@ class Method:
             focal error says nothing and is not shown.
         together: Sees all pictures of a camera at once and gives one answer for all of them.
         variant: `RectifyConfig.variant`, None for the whole method.
+        weights: Name of other weights that ship, the end of the tag; None for the default.
     """
 
     tag: str
@@ -25,12 +26,15 @@ class Method:
     knows_focal: bool = True
     together: bool = False
     variant: str | None = None
+    weights: str | None = None
 
     @property
     def estimator(self) -> str:
         """Name of the estimator behind it, `RectifyConfig.method`."""
         tag = self.tag.removesuffix(_TOGETHER)
-        return tag if self.variant is None else tag.removesuffix(f"-{self.variant}")
+        for suffix in (self.variant, self.weights and self.weights.rpartition("-")[2]):
+            tag = tag.removesuffix(f"-{suffix}")
+        return tag
 
 
 IDENTITY = Method("identity", "Left alone", "#7f7f7f", knows_focal=False)
@@ -60,7 +64,14 @@ STEPS = (
 )
 """The hybrid built up step by step; the whole adds vanishing points. Asked for by name only."""
 
-_BY_TAG = {method.tag: method for method in (*METHODS, *TOGETHER, *STEPS)}
+WIREFRAME = (
+    Method("learned-wf", "LaRecNet, trained on SLF_wf alone", "#b0578f", weights="compact-wf"),
+    Method("hybrid-wf", "Straightlens with that network", "#8c3f00", weights="compact-wf"),
+)
+"""With weights that know planes of photographs and the paper's lenses alone, as one row of the
+paper's table. Asked for by name only."""
+
+_BY_TAG = {method.tag: method for method in (*METHODS, *WIREFRAME, *TOGETHER, *STEPS)}
 
 
 def method_of(tag: str) -> Method:

@@ -141,7 +141,9 @@ def settings_of(method: Method, *, seed: int) -> dict[str, Any]:
     RectifyConfig(method=method.estimator, seed=seed, variant=method.variant)
     if method.variant is not None:
         settings["variant"] = method.variant
-    if name := _WEIGHTS.get(method.estimator):
+    if method.weights is not None:
+        settings["weights_name"] = method.weights
+    if name := method.weights or _WEIGHTS.get(method.estimator):
         from learned.weights import packaged
 
         settings["weights"] = hashlib.sha256(packaged(name).read_bytes()).hexdigest()[:16]
@@ -159,7 +161,10 @@ def project_method(estimator: str, settings: Settings) -> Predictor:
         return _leave_alone
     from hybrid import Rectifier, RectifyConfig
 
-    options = {name: value for name, value in settings if name != "weights"}
+    options = dict(settings)
+    options.pop("weights", None)
+    if name := options.pop("weights_name", None):
+        options["weights"] = name
     return partial(_ask, Rectifier(RectifyConfig(method=estimator, **options)))
 
 

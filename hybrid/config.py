@@ -32,7 +32,8 @@ class RectifyConfig:
         circle_fov: Field of view of the image circle in degrees (often 180), if it is known.
         variant: Of the method: "2014" (default) or "2016" of aleman-flores; one of the steps of
             `hybrid.fusion.VARIANTS` of hybrid. None is the whole method.
-        weights: Weights of the networks, a safetensors file; None means those that ship.
+        weights: Weights of the networks: a safetensors file, or the name of some that ship
+            ("compact", the default; "compact-wf", which knows the paper's lenses alone).
         seed: Of every random choice, so that the same picture gives the same answer.
         threads: CPU threads to use; None leaves it to the libraries.
     """

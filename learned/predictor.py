@@ -19,7 +19,7 @@ from classical.camera import Division, KannalaBrandt
 from learned.larecnet import LaRecNet
 from learned.letterbox import Letterbox, as_tensor, resized
 from learned.rong import RongNet
-from learned.weights import load_weights, packaged
+from learned.weights import load_weights, located
 
 _TILE = 512
 _OVERLAP = 64
@@ -88,8 +88,8 @@ class Predictor:
 
     @classmethod
     def from_weights(cls, path: str | Path | None = None, *, device: str = "cpu") -> Predictor:
-        """Load weights, by default those that ship; see `learned.weights.load_weights`."""
-        loaded = load_weights(packaged("compact") if path is None else Path(path), LaRecNet)
+        """Load weights: a file, a name of weights that ship, or the default."""
+        loaded = load_weights(located(path, "compact"), LaRecNet)
         return cls(loaded.network, loaded.card, device=device)
 
     @torch.inference_mode()
@@ -180,7 +180,7 @@ class RongPredictor:
     @classmethod
     def from_weights(cls, path: str | Path | None = None) -> RongPredictor:
         """Load weights, by default those that ship."""
-        loaded = load_weights(packaged("rong-compact") if path is None else Path(path), RongNet)
+        loaded = load_weights(located(path, "rong-compact"), RongNet)
         return cls(loaded.network, loaded.card)
 
     @torch.inference_mode()

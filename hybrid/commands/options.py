@@ -38,10 +38,13 @@ class SizeType(click.ParamType):
         return width, height
 
 
-def _as_text(
-    _context: click.Context, _parameter: click.Parameter, value: Path | None
+def _named_or_there(
+    context: click.Context, parameter: click.Parameter, value: str | None
 ) -> str | None:
-    return None if value is None else str(value)
+    """Weights: a bare name is one of those that ship, anything else a file."""
+    if value is None or (Path(value).name == value and not Path(value).suffix):
+        return value
+    return str(EXISTING_FILE.convert(value, parameter, context))
 
 
 paths = click.argument("paths", nargs=-1, required=True, type=EXISTING)
@@ -53,7 +56,10 @@ method = click.option(
     help="How the lens is found.",
 )
 weights = click.option(
-    "--weights", type=EXISTING_FILE, callback=_as_text, help="Weights of the networks to use."
+    "--weights",
+    metavar="FILE|NAME",
+    callback=_named_or_there,
+    help="Weights of the networks: a file, or the name of some that ship (compact, compact-wf).",
 )
 camera = click.option(
     "--camera", type=EXISTING_FILE, help="Use this camera file instead of estimating the lens."

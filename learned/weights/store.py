@@ -48,7 +48,7 @@ class Loaded(Generic[Network]):
 
 
 def packaged(name: str) -> Path:
-    """Path of weights that ship: "compact" or "rong-compact".
+    """Path of weights that ship: "compact", "compact-wf" (D-Wireframe alone) or "rong-compact".
 
     Raises:
         FileNotFoundError: If none of that name ship.
@@ -58,6 +58,18 @@ def packaged(name: str) -> Path:
         there = sorted(p.stem for p in FOLDER.glob("*.safetensors"))
         raise FileNotFoundError(f"expected weights among {there}, got {name!r}")
     return path
+
+
+def located(weights: str | Path | None, default: str) -> Path:
+    """Path of weights given as a file, as the name of some that ship, or not at all.
+
+    Raises:
+        FileNotFoundError: If neither is there.
+    """
+    if weights is None:
+        return packaged(default)
+    path = Path(weights)
+    return packaged(path.name) if path.name == str(weights) and not path.suffix else path
 
 
 def save_weights(
