@@ -49,7 +49,8 @@ def read_tiff(
     except (OSError, MemoryError):
         raise
     except Exception as error:  # whatever a broken file makes the parsers raise
-        reason = " ".join(str(error).split()) or type(error).__name__
+        words = str(error) if isinstance(error, ValueError) else ""
+        reason = " ".join(words.split()) or "it is broken"
         raise ValueError(f"not a TIFF that can be read: {reason}") from error
 
 
