@@ -10,7 +10,6 @@ import os
 
 import cv2
 import numpy as np
-import tifffile
 from jaxtyping import Shaped
 
 MAX_PIXELS = 178_956_970  # half a gigabyte of RGB; Pillow's own limit against bombs
@@ -34,6 +33,8 @@ def read_tiff(
         OSError: If the file cannot be read.
         ValueError: If it is no TIFF, broken or too large.
     """
+    import tifffile  # here, as most pictures need none
+
     try:
         with tifffile.TiffFile(path) as file:
             page = file.pages.first
