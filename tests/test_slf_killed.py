@@ -144,3 +144,12 @@ def test_a_killed_set_goes_on_to_the_same_bytes(
     assert 2 <= finished_items(out) < COUNT
     subprocess.run([*PROGRAM, *line], check=True, timeout=_LONGEST_S)
     assert fingerprint(out) == fingerprint(whole)
+
+
+@pytest.mark.filterwarnings("ignore")
+def test_a_cluster_makes_the_same_bytes(words: list[str], whole: Path, tmp_path: Path) -> None:
+    pytest.importorskip("ray")
+    out = tmp_path / "set"
+    line = [*PROGRAM, *words, "--out", str(out), "--ray", "local"]
+    subprocess.run(line, check=True, timeout=_LONGEST_S)
+    assert fingerprint(out) == fingerprint(whole)
