@@ -34,12 +34,14 @@ class PerspectiveConfig:
     Set on photographs as they are and bent by lenses of 30° to 115°.
 
     Attributes:
+        least_gain: Gain in log likelihood that a bent lens must bring for its parameters.
         least_proof: Gain in log likelihood by a bent lens, times the distance in pixels of a 320
             frame by which it moves the picture, from which the bend is believed.
         least_evidence: A common fisheye must lose so much log likelihood against a perspective
             lens, or the curves cannot tell straight from bent.
     """
 
+    least_gain: float = 2.0
     least_proof: float = 6.0
     least_evidence: float = 12.5
 
@@ -89,7 +91,8 @@ def perspective_instead(
     )
     gain = flat - bent + known.sure_cost(straight) - known.sure_cost(camera)
     moved = disagreement(camera, straight)
-    if not gain * moved < config.least_proof:  # nor where they have nothing in common
+    slight = gain * moved < config.least_proof  # False where they have nothing in common
+    if gain >= config.least_gain and not slight:
         return None
     return Perspective(straight, fisheye - flat >= config.least_evidence)
 
