@@ -13,12 +13,15 @@ from hybrid import Picture, write_picture
 COMMAND = "from hybrid.cli import main; main()"
 METHODS = ("classical", "learned", "hybrid")
 PEAK = """
-import resource, sys
+import sys
+from pathlib import Path
 from hybrid import RectifyConfig, read_picture, rectify
 picture = read_picture(sys.argv[1])
 if len(sys.argv) > 2:
     rectify(picture.pixels, RectifyConfig(method=sys.argv[2]), throw=False)
-print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)
+# not ru_maxrss, which begins at that of the process that started this one
+status = Path("/proc/self/status").read_text().splitlines()
+print(next(line.split()[1] for line in status if line.startswith("VmHWM")))
 """
 
 
@@ -50,7 +53,7 @@ def measure_starts(rounds: int) -> dict[str, float]:
 
 
 def measure_memory() -> dict[str, list[float]]:
-    """Peak resident memory in MB for each size: reading alone, then by each method."""
+    """Peak resident memory in MB for each size: reading alone, then by each method (Linux)."""
     found: dict[str, list[float]] = {name: [] for name in ("reading the picture", *METHODS)}
     with tempfile.TemporaryDirectory() as folder:
         for size in SIZES:
@@ -58,7 +61,7 @@ def measure_memory() -> dict[str, list[float]]:
             write_picture(photo, Picture(example(size)))
             for name, values in found.items():
                 chosen = [name] if name in METHODS else []
-                values.append(int(process("-c", PEAK, photo, *chosen).split()[-1]) / 1000)
+                values.append(int(process("-c", PEAK, photo, *chosen).split()[-1]) * 1.024e-3)
     return found
 
 
