@@ -7,7 +7,7 @@ PYTEST_ARGS ?= -n auto --maxprocesses 4
 BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt
 
-.PHONY: demo test test-slow lint hooks clean
+.PHONY: demo test test-slow lint docs bench hooks clean
 
 demo: $(VENV)/.installed-demo
 	$(BIN)/python examples/demo.py --out out/demo
@@ -23,6 +23,13 @@ lint: $(VENV)/.installed-dev
 	$(BIN)/ruff check .
 	$(BIN)/pyright
 	$(BIN)/lint-imports
+
+docs: $(VENV)/.installed-docs
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet
+	@echo "open out/site/index.html"
+
+bench: $(VENV)/.installed-dev
+	$(BIN)/python -m benchmarks
 
 hooks: $(VENV)/.installed-dev
 	$(BIN)/pre-commit install
@@ -45,3 +52,7 @@ $(VENV)/.installed-dev: pyproject.toml constraints.txt | $(VENV)/bin/python
 	@echo "Installing into $(VENV); the first time this downloads PyTorch and takes minutes."
 	$(PIP) -e '.[dev]'
 	@touch $(VENV)/.installed-demo $@
+
+$(VENV)/.installed-docs: pyproject.toml constraints.txt | $(VENV)/bin/python
+	$(PIP) -e '.[docs]'
+	@touch $@

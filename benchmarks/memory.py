@@ -1,6 +1,6 @@
 """Memory of one process over many pictures, and of a batch over many more.
 
-    python benchmarks/memory.py [--pictures 1000] [--method classical]
+    python -m benchmarks.memory [--pictures 1000] [--method classical]
 
 Pictures of 320x240 of a wall with bars are read, rectified and written one after the other; the
 resident memory is told along the way. Flat means that the last figure is that of the first hundred.

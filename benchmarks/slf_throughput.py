@@ -1,6 +1,6 @@
 """Samples a second of the training stream, per scene type, in wall and in processor time.
 
-    python benchmarks/slf_throughput.py train.pack --samples 128 --processes 2
+    python -m benchmarks.slf_throughput train.pack --samples 128 --processes 2
 
 A training runs one such process a core, each with one thread; the rate is that of all of them
 together, from the first start to the last end. Where other programs share the cores, the wall rate

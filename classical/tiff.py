@@ -10,7 +10,6 @@ import os
 
 import cv2
 import numpy as np
-import tifffile
 from jaxtyping import Shaped
 
 MAX_PIXELS = 178_956_970  # half a gigabyte of RGB; Pillow's own limit against bombs
@@ -34,6 +33,8 @@ def read_tiff(
         OSError: If the file cannot be read.
         ValueError: If it is no TIFF, broken or too large.
     """
+    import tifffile  # here, as most pictures need none
+
     try:
         with tifffile.TiffFile(path) as file:
             page = file.pages.first
@@ -49,7 +50,8 @@ def read_tiff(
     except (OSError, MemoryError):
         raise
     except Exception as error:  # whatever a broken file makes the parsers raise
-        reason = " ".join(str(error).split()) or type(error).__name__
+        words = str(error) if isinstance(error, ValueError) else ""
+        reason = " ".join(words.split()) or "it is broken"
         raise ValueError(f"not a TIFF that can be read: {reason}") from error
 
 

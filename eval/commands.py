@@ -25,7 +25,8 @@ _ALL = ",".join(method.tag for method in METHODS)
     required=True,
     multiple=True,
     type=click.Path(exists=True, path_type=Path),
-    help="Test set: a folder with suite.json. May be given several times.",
+    help="Test set: a folder with suite.json, photographs with one camera file, or the fisheye "
+    "video dataset. May be given several times.",
 )
 @click.option(
     "--out",

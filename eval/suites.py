@@ -13,24 +13,42 @@ from learned.slf.pack import PICTURE_SUFFIXES, picture_paths
 from learned.slf.suite import SuiteFolder
 
 VIDEO_SYNTHETIC_SIDE = 1088
+_OCAMCALIB = "calib_results*.txt"
+_CAMERA_SUFFIXES = (".json", ".yaml", ".yml", ".xml", ".txt")
 _VIDEO_FOCAL_MM, _VIDEO_SENSOR_MM, _VIDEO_FIELD = 1.8, 5.2, np.radians(185.0)
 
 
 def load_suite(path: Path) -> Suite:
-    """Load whatever a path holds: a set of `straightlens synthesize`, or a JSON list of pictures.
+    """Load whatever a path holds.
 
     Args:
-        path: A folder with `suite.json`, or a JSON file.
+        path: A set of `straightlens synthesize`; a JSON list of calibrated photographs, or the
+            folder that holds it as `suite.json`; a folder of photographs with one camera file
+            (OpenCV, Kalibr, OCamCalib and others); or the root of the fisheye video dataset.
 
     Raises:
-        ValueError: If it is neither.
+        ValueError: If it is none of these.
     """
     file = path / "suite.json" if path.is_dir() else path
+    if not file.is_file() and path.is_dir():
+        return _load_photographs(path)
     if not file.is_file():
         raise ValueError(f"expected a test set, got {path}")
     if isinstance(json.loads(file.read_text()), list):
         return load_calibrated_list(file)
     return load_folder(file.parent)
+
+
+def _load_photographs(folder: Path) -> Suite:
+    """Photographs beside one camera file, or else sequences of the fisheye video dataset."""
+    files = sorted(p for p in folder.iterdir() if p.suffix.lower() in _CAMERA_SUFFIXES)
+    beside = any(p.suffix.lower() in PICTURE_SUFFIXES for p in folder.iterdir())
+    if beside and len(files) == 1:
+        return load_calibrated_folder(folder, files[0])
+    if beside and files:
+        names = ", ".join(p.name for p in files)
+        raise ValueError(f"expected one camera file in {folder}, got {names}")
+    return load_fisheye_videos(folder)
 
 
 def load_folder(path: Path) -> Suite:
@@ -118,7 +136,8 @@ def load_fisheye_videos(folder: Path, *, every: int = 30) -> Suite:
 
     Every sequence is a folder of frames as pictures. Frames of 1088x1088 pixels are the synthetic
     sequences, whose lens is known (equisolid, f = 1.8 mm, 5.2 mm sensor, 185 degrees; ICASSP 2016);
-    others need the OCamCalib text of the real camera in their folder or above it.
+    others need the OCamCalib text of the real camera in their folder, above it, or as the only one
+    below the root.
 
     Args:
         folder: Root of the dataset.
@@ -166,19 +185,21 @@ def _video_camera(sequence: Path, root: Path, width: int, height: int) -> Kannal
             sensor_mm=_VIDEO_SENSOR_MM,
             field=float(_VIDEO_FIELD),
         )
+    lens = read_lens(_video_calibration(sequence, root))
+    return lens if (lens.width, lens.height) == (width, height) else lens.resized(width, height)
+
+
+def _video_calibration(sequence: Path, root: Path) -> Path:
+    """The nearest OCamCalib text of a sequence."""
     for place in (sequence, *sequence.parents):
-        found = sorted(place.glob("calib_results*.txt"))
-        if found:
-            lens = read_lens(found[0])
-            return (
-                lens
-                if (lens.width, lens.height) == (width, height)
-                else lens.resized(width, height)
-            )
+        if found := sorted(place.glob(_OCAMCALIB)):
+            return found[0]
         if place == root:
             break
+    if len(found := sorted(root.rglob(_OCAMCALIB))) == 1:
+        return found[0]
     raise ValueError(
-        f"expected calib_results*.txt of the real camera in or above {sequence}, got none"
+        f"expected {_OCAMCALIB} of the real camera in or above {sequence}, got none or several"
     )
 
 

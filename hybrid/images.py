@@ -13,7 +13,6 @@ from typing import Any
 
 import cv2
 import numpy as np
-import tifffile
 from jaxtyping import Shaped
 from PIL import ExifTags, Image, TiffImagePlugin, UnidentifiedImageError
 
@@ -262,6 +261,8 @@ def _write_deep_png(path: Path, picture: Picture) -> None:
 
 def _write_deep_tiff(path: Path, picture: Picture) -> None:
     """More than 8 bits a channel, which Pillow cannot write in colour."""
+    import tifffile  # here, as most pictures need none
+
     pixels = picture.pixels
     tifffile.imwrite(
         path,

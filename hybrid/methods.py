@@ -46,31 +46,27 @@ class Method:
 METHODS = (
     Method(
         "hybrid",
-        "networks and the straightness fit together",
+        "networks and line fit",
         "hybrid.fusion:HybridEstimator",
     ),
     Method(
         "classical",
-        "edges of the picture made straight by a least-squares fit",
+        "line fit alone",
         "hybrid.estimators:ClassicalEstimator",
     ),
-    Method(
-        "learned", "LaRecNet alone, one look at the picture", "hybrid.networks:LearnedEstimator"
-    ),
+    Method("learned", "LaRecNet alone", "hybrid.networks:LearnedEstimator"),
     Method(
         "aleman-flores",
-        "Alemán-Flores et al. 2014 or 2016, division model",
+        "division model",
         "hybrid.baselines:AlemanFloresEstimator",
     ),
     Method(
         "bukhari",
-        "Bukhari & Dailey 2013, division model from arcs",
+        "division model from arcs",
         "hybrid.baselines:BukhariEstimator",
     ),
-    Method(
-        "rong", "Rong et al. 2016, division model by a network", "hybrid.networks:RongEstimator"
-    ),
-    Method("identity", "nothing: the picture as it is", "hybrid.estimators:IdentityEstimator"),
+    Method("rong", "division model, a network", "hybrid.networks:RongEstimator"),
+    Method("identity", "the picture as it is", "hybrid.estimators:IdentityEstimator"),
 )
 DEFAULT_METHOD = "hybrid"
 

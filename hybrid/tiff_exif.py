@@ -8,7 +8,6 @@ from __future__ import annotations
 import struct
 from pathlib import Path
 
-import tifffile
 from PIL import ExifTags, Image, TiffImagePlugin
 
 _ASCII = 2
@@ -49,6 +48,8 @@ def append_exif(path: Path, data: bytes) -> None:
         path: A little-endian TIFF of less than 4 GiB.
         data: EXIF as in a JPEG.
     """
+    import tifffile  # here, as most pictures need none
+
     exif = Image.Exif()
     exif.load(data)
     with tifffile.TiffFile(path) as tiff:

@@ -4,6 +4,8 @@ import cv2
 import numpy as np
 import pytest
 
+from classical.camera import KannalaBrandt
+from classical.camera.formats import CAMERA_FORMATS
 from eval.suites import (
     equisolid_camera,
     load_calibrated_folder,
@@ -50,6 +52,38 @@ def test_calibration_is_scaled_to_pictures_of_the_same_aspect(pictures):
     suite = load_calibrated_folder(pictures / "b", pictures / "c.yaml")
     assert suite.is_real
     assert suite.cases[0].camera.width == 64
+
+
+FORMATS = {kind.name: kind for kind in CAMERA_FORMATS if kind.name != "division"}
+
+
+@pytest.mark.parametrize("name", FORMATS)
+def test_photographs_beside_a_camera_file_are_a_suite(pictures, name):
+    lens = KannalaBrandt.from_opencv(K / 10 + np.diag([0, 0, 0.9]), D, 64, 64)
+    entry = FORMATS[name]
+    (pictures / "b" / f"calib_results{entry.suffix}").write_text(entry.export(lens).text)
+    suite = load_suite(pictures / "b")
+    rays = np.array([[0.3, 0.2, 1.0], [-0.8, 0.1, 0.6]])
+    assert len(suite.cases) == 3
+    for case in suite.cases:
+        found, _ = case.camera.project(rays)
+        np.testing.assert_allclose(found, lens.project(rays)[0], atol=0.1)
+
+
+def test_two_camera_files_are_refused(pictures):
+    for name in ("one.json", "two.yaml"):
+        (pictures / "b" / name).write_text("{}")
+    with pytest.raises(ValueError, match=r"one\.json, two\.yaml"):
+        load_suite(pictures / "b")
+
+
+def test_the_video_dataset_is_known_by_its_layout(pictures):
+    lens = KannalaBrandt.from_opencv(K / 10 + np.diag([0, 0, 0.9]), D, 64, 64)
+    (pictures / "calibration").mkdir()
+    text = FORMATS["ocam"].export(lens).text
+    (pictures / "calibration" / "calib_results_all.txt").write_text(text)
+    suite = load_suite(pictures)
+    assert [case.group for case in suite.cases] == ["synthetic", "real"]
 
 
 def test_listed_pictures_are_grouped_by_camera(pictures):

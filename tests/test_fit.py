@@ -281,6 +281,30 @@ def test_straight_pictures_stay_as_they_are() -> None:
     assert aligned_error(fit.camera, truth) < 0.05
 
 
+def bowed(curve: Curve, bow: float) -> Curve:
+    """The curve with its middle pushed aside by so many pixels."""
+    points, along = curve.points, np.linspace(-1, 1, len(curve.points))[:, None]
+    u, v = (points[-1] - points[0]) / np.hypot(*(points[-1] - points[0]))
+    return Curve(points + bow * (1 - along**2) * np.array([-v, u]), curve.sigma, curve.strength)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_few_bent_things_do_not_bend_a_straight_picture(seed: int) -> None:
+    """Kerbs and curtains: bows of a pixel or so, that some lens makes a little smaller."""
+    rng = np.random.default_rng(seed)
+    curves = line_pictures(projection(1.6, -1.0, WIDTH, HEIGHT), 40, rng, noise=0.3)
+    curves[:12] = [bowed(curve, rng.normal(0, 1.0)) for curve in curves[:12]]
+    assert "straight already" in fit_lens([curves], WIDTH, HEIGHT).reason
+
+
+def test_a_belief_in_a_fisheye_does_not_bend_a_straight_picture() -> None:
+    rng = np.random.default_rng(12)
+    curves = line_pictures(projection(1.6, -1.0, WIDTH, HEIGHT), 50, rng, noise=0.3)
+    belief = LensPrior(LENS.to_vector(), np.diag((0.02 * LENS.to_vector()) ** 2 + 1e-6))
+    fit = fit_lens([curves], WIDTH, HEIGHT, observations=[of_belief(belief, "a network")])
+    assert "straight already" in fit.reason
+
+
 def test_a_weak_bend_is_not_called_straight() -> None:
     truth = projection(1.5, 0.0, WIDTH, HEIGHT)
     curves = line_pictures(truth, 50, np.random.default_rng(11), noise=0.3)

@@ -1,6 +1,7 @@
 """Laws of picture files: what is written is read back, upright, with profile and EXIF."""
 
 import io
+import re
 import struct
 import zlib
 
@@ -204,6 +205,7 @@ def test_broken_files_are_one_line_errors(tmp_path, name):
     with pytest.raises(ValueError, match=name.replace(".", r"\.")) as caught:
         read_picture(path)
     assert "\n" not in str(caught.value)
+    assert re.search(r": \D{10,}", str(caught.value))  # in words, not the number of some index
 
 
 def test_too_large_a_picture_is_refused_before_decoding(tmp_path):

@@ -56,6 +56,22 @@ def test_visible_lines_are_the_nearest_thing_on_their_ray(textures):
     assert (depth > 0.99 * distance - 0.02).all()
 
 
+def test_lines_of_a_pavement_end_where_they_cannot_be_told_apart(textures):
+    uses = {use: numbers_for(use, 11) for use in USES}
+    scene = next(s for s in (scene_of(i, uses) for i in range(40)) if s.is_open)
+    eye = float(scene.shell[1] - scene.position[1])
+    level = replace(scene, rotation=np.eye(3))
+    room = room_geometry(level, textures)
+    lens = optics(room_lenses("equisolid", np.random.default_rng(0)), size=320)
+    strokes, segments = room_strokes(room, textures, lens, shortest_px=13.0)
+    at = strokes.segment[strokes.run]
+    points = torch.lerp(segments.start[at], segments.end[at], strokes.share[:, None])
+    on_ground = (points[:, 1] - eye).abs() < 1e-3
+    distance = points[on_ground].norm(dim=1)
+    assert (distance < 4 * eye).sum() > 100
+    assert distance.quantile(0.9) < 5 * eye
+
+
 def test_the_papers_lens_spans_what_fish_suncg_shows():
     lens = room_lenses("equisolid", np.random.default_rng(0))
     camera = true_camera(lens.vector[0], 320)
@@ -88,6 +104,7 @@ def test_the_rendered_lens_meets_the_camera_model(prior, tmp_path, textures):
         colour=np.full((1, 3), 0.8),
         roughness=np.ones(1),
         emission=np.full(1, 1.0),
+        is_pane=np.zeros(1, bool),
         pattern=np.full(1, -1),
         tile=np.ones((1, 2)),
         shell=np.full(3, 100.0),

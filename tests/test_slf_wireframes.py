@@ -84,7 +84,7 @@ def test_a_set_bends_the_annotated_lines(dataset):
     items = list(SuiteFolder(out))
     assert len(items) == 8  # lenses a photograph
     assert len({item.camera for item in items}) == 8
-    assert all(1 <= len(item.curves) <= 2 for item in items)
+    assert all(2 <= len(item.curves) <= 4 for item in items)  # the frame may cut one
     assert SuiteFolder(out).header()["settings"]["annotated"] == 1
 
 

@@ -3,6 +3,7 @@
 import asyncio
 import base64
 import io
+import os
 import shutil
 import threading
 from collections.abc import Iterator
@@ -50,15 +51,15 @@ class CountingStudio(Studio):
     def __init__(self, limits: Limits) -> None:
         super().__init__(limits)
         self.asked = 0
-        self._seen: dict[bytes, Exhibit] = {}
+        self._seen: dict[tuple[str, bytes], Exhibit] = {}
 
     def find_lens(self, name: str, method: str) -> Exhibit:
         self.asked += 1
-        pixels = self.exhibit(name).picture.pixels.tobytes()
-        if pixels not in self._seen:
-            self._seen[pixels] = super().find_lens(name, method)
-        self._store.replace(name, self._seen[pixels])
-        return self._seen[pixels]
+        key = method, self.exhibit(name).picture.pixels.tobytes()
+        if key not in self._seen:
+            self._seen[key] = super().find_lens(name, method)
+        self._store.replace(name, self._seen[key])
+        return self._seen[key]
 
 
 @dataclass
@@ -147,6 +148,12 @@ def room(tmp_path_factory) -> Path:
     return path
 
 
+@pytest.fixture
+def photograph() -> Path:
+    """A picture as it comes from a camera; the example unless one of yours is named."""
+    return Path(os.environ.get("STRAIGHTLENS_PHOTOGRAPH") or ROOT / "examples" / "room.jpg")
+
+
 def drop(page, path: Path) -> None:
     """Give a picture and wait for its report."""
     page.set_input_files(".sl-drop input", path)
@@ -207,6 +214,23 @@ def test_a_dropped_picture_is_seen_before_and_after(watched, room):
     assert "field of view across" in numbers
     assert numbers.count("±") == 9
     shot(page, "desktop")
+    assert watched.complaints == []
+
+
+def test_a_whole_photograph_is_seen_by_the_default_method(watched, photograph):
+    page = watched.page
+    page.get_by_label("How the lens is found").click()
+    page.get_by_role("option", name="hybrid").click()
+    drop(page, photograph)
+    caption(page, "framed by balance 0")
+    before, after = pixels(page, ".sl-before"), pixels(page, ".sl-after")
+    assert before.shape == after.shape
+    assert np.abs(before - after).mean() > 5
+    shot(page, "photograph")
+    for tab in ("curves", "lines"):  # both are there: this method has a heatmap
+        page.click(f"[data-tab={tab}]")
+        assert pixels(page, ".sl-still").shape[2] == 3
+        shot(page, f"photograph_{tab}")
     assert watched.complaints == []
 
 

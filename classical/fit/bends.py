@@ -69,6 +69,11 @@ class Bends:
         shapes = lengths[:, None] ** config.growth * (_FIRST / orders) ** config.decay
         return cls(_functionals(samples, config.orders), shapes, samples, scale, config)
 
+    def bows(self, residuals: Float[np.ndarray, " n"]) -> Float[np.ndarray, " curves"]:
+        """Bow of each curve as it would be at the reference length in a picture 1280 wide."""
+        bows = self.samples.curve_sums(self.functionals[:, 0] * residuals)
+        return bows / (self.scale * self.shapes[:, 0])
+
     def deviation(
         self, residuals: Float[np.ndarray, " n"], shares: Float[np.ndarray, " curves"]
     ) -> float:
@@ -78,8 +83,7 @@ class Bends:
             residuals: Of the samples, pixels.
             shares: Weight of each curve.
         """
-        bow = self.samples.curve_sums(self.functionals[:, 0] * residuals) / self.scale
-        relative = np.abs(bow) / self.shapes[:, 0]
+        relative = np.abs(self.bows(residuals))
         order = np.argsort(relative, kind="stable")
         weight = np.cumsum((self.samples.lengths * shares)[order])
         middle = relative[order][np.searchsorted(weight, 0.5 * weight[-1])]

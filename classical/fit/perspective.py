@@ -1,4 +1,10 @@
-"""Is the picture straight already? A lens must earn its bend against a perspective one."""
+"""Whether lines are straight already, so that a perspective lens explains them as well.
+
+A curve tells one thing here, the bow that a lens leaves of it, in standard deviations of the bow of
+straight lines in this picture. Kerbs, curtains and branches are bent without any lens, and with a
+few of them five coefficients always find some gain; what they find by chance is slight. So the
+proof that a bend needs falls with its size: to leave a slight bend does little harm.
+"""
 
 from __future__ import annotations
 
@@ -6,36 +12,38 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
+from jaxtyping import Float
 
 from classical.camera import KannalaBrandt
-from classical.fit.rounds import REFERENCE_WIDTH, Known
+from classical.fit.bends import BendConfig, Bends
+from classical.fit.quality import disagreement
+from classical.fit.rounds import Known, curve_shares
 from classical.fit.samples import CurveSamples
 from classical.fit.search import projection
 from classical.fit.straightness import straightness
 
 _FISHEYE = 0.9  # of an equidistant lens to compare with: 127° across
-_SIGMA_RANGE = (0.2, 1.0)  # standard deviation of a sample, pixels of a picture 1280 wide
 _STRENGTH = 2.0  # focal length in half widths, 53° across: straight lines do not tell it
+_LOSS_SCALE = 2.0  # deviations beyond which a bow loses weight (Cauchy)
 
 
 @dataclass(frozen=True)
 class PerspectiveConfig:
     """When a perspective lens is believed instead of a bent one.
 
+    Set on photographs as they are and bent by lenses of 30° to 115°.
+
     Attributes:
-        least_gain: A bent lens must lower the robust cost of the curves by this much …
-        doubtful_gain: … and by this much where a perspective lens leaves nearly all straight.
-        nearly_all: Share of the curves' length that counts as nearly all.
-        least_evidence: A common fisheye must raise the cost by this much, or the curves cannot
-            tell straight from bent.
-        redundancy: So many samples tell as much as one independent one.
+        least_gain: Gain in log likelihood that a bent lens must bring for its parameters.
+        least_proof: Gain in log likelihood by a bent lens, times the distance in pixels of a 320
+            frame by which it moves the picture, from which the bend is believed.
+        least_evidence: A common fisheye must lose so much log likelihood against a perspective
+            lens, or the curves cannot tell straight from bent.
     """
 
-    least_gain: float = 0.5
-    doubtful_gain: float = 4.0
-    nearly_all: float = 0.95
-    least_evidence: float = 4.0
-    redundancy: float = 64.0
+    least_gain: float = 2.0
+    least_proof: float = 6.0
+    least_evidence: float = 12.5
 
 
 class Perspective(NamedTuple):
@@ -51,6 +59,7 @@ def perspective_instead(
     known: Known,
     *,
     tolerance: float,
+    bend: BendConfig,
     config: PerspectiveConfig,
 ) -> Perspective | None:
     """A perspective lens if it makes the curves about as straight as the fitted one.
@@ -58,41 +67,36 @@ def perspective_instead(
     Args:
         camera: The fitted lens.
         samples: Points of the curves.
-        known: What is known beside them; a lens must earn its bend against that too.
-        tolerance: RMS residual up to which a curve is straight, pixels.
-        config: How much gain a bend must bring.
+        known: What is known beside them; what is sure speaks for or against a bend, too. Another
+            estimate of the lens does not: it was made to find one, and finds one in every picture.
+        tolerance: RMS residual at which a curve has lost most of its weight, pixels.
+        bend: How far straight lines look bent.
+        config: How much proof a bend must bring.
 
     Returns:
         r = f tan θ, as near as five coefficients come, or None where the bend is real.
     """
     width, height = camera.width, camera.height
     straight = projection(_STRENGTH, -1.0, width, height)
-    flat = straightness(straight, samples).residuals
+    bends = Bends.of(samples, width, bend)
     kept = straightness(camera, samples).residuals
-    sigma = _noise(samples, kept, width / REFERENCE_WIDTH)
-    common = straightness(projection(_FISHEYE, 0.0, width, height), samples).residuals
-    cost, bent, fisheye = (
-        _robust(residuals / sigma) / config.redundancy for residuals in (flat, kept, common)
+    deviation = bends.deviation(kept, curve_shares(samples, kept, tolerance))
+    flat, bent, fisheye = (
+        _cost(bends.bows(residuals) / deviation)
+        for residuals in (
+            straightness(straight, samples).residuals,
+            kept,
+            straightness(projection(_FISHEYE, 0.0, width, height), samples).residuals,
+        )
     )
-    cost += 0.5 * known.surprise(straight)
-    bent += 0.5 * known.surprise(camera)
-    lengths = samples.lengths
-    share = float(lengths[samples.curve_rms(flat) <= tolerance].sum() / lengths.sum())
-    doubtful = cost - bent < config.doubtful_gain and share >= config.nearly_all
-    if cost - bent >= config.least_gain and not doubtful:
+    gain = flat - bent + known.sure_cost(straight) - known.sure_cost(camera)
+    moved = disagreement(camera, straight)
+    slight = gain * moved < config.least_proof  # False where they have nothing in common
+    if gain >= config.least_gain and not slight:
         return None
-    return Perspective(straight, fisheye - cost >= config.least_evidence)
+    return Perspective(straight, fisheye - flat >= config.least_evidence)
 
 
-def _noise(samples: CurveSamples, residuals: np.ndarray, scale: float) -> float:
-    """Length-weighted median of the curves' RMS residuals, within bounds, pixels."""
-    rms = samples.curve_rms(residuals)
-    order = np.argsort(rms, kind="stable")
-    length = np.cumsum(samples.lengths[order])
-    middle = rms[order][np.searchsorted(length, 0.5 * length[-1])]
-    return float(np.clip(middle, *(scale * np.array(_SIGMA_RANGE))))
-
-
-def _robust(residuals: np.ndarray) -> float:
-    """The Cauchy loss of the solver, residuals in standard deviations, scale 2."""
-    return float((4 * np.log1p(residuals**2 / 4)).sum())
+def _cost(bows: Float[np.ndarray, " curves"]) -> float:
+    """Negative log likelihood of bows in standard deviations, robust as in the solver."""
+    return float(0.5 * (_LOSS_SCALE**2 * np.log1p((bows / _LOSS_SCALE) ** 2)).sum())

@@ -251,6 +251,7 @@ def _unless_straight(
         samples,
         known,
         tolerance=config.inlier_tolerance * scale,
+        bend=config.bend,
         config=config.perspective,
     )
     if straight is None:

@@ -45,9 +45,10 @@ class Known:
             prior = observed(prior, observation.near(camera))
         return prior
 
-    def surprise(self, camera: KannalaBrandt) -> float:
-        """Squared distance of a camera from all that was observed."""
-        return float(sum(observation.surprise(camera) for observation in self.observations))
+    def sure_cost(self, camera: KannalaBrandt) -> float:
+        """Negative log likelihood of what is sure, up to a constant."""
+        sure = (observation for observation in self.observations if observation.is_sure)
+        return 0.5 * sum(observation.surprise(camera) for observation in sure)
 
 
 @dataclass(frozen=True, eq=False)

@@ -13,7 +13,6 @@ from types import ModuleType
 from typing import Any
 
 import numpy as np
-import tifffile
 
 from classical.files import atomic_path
 from classical.tiff import MAX_PIXELS, read_tiff
@@ -35,6 +34,8 @@ def write_stmap(path: str | os.PathLike[str], maps: WarpMaps, note: str = "") ->
     Raises:
         ValueError: If the suffix is another, or OpenEXR is not installed.
     """
+    import tifffile  # here, as most pictures need none
+
     suffix = _suffix(path)
     red = (maps.u + np.float32(0.5)) / maps.source_width
     green = 1 - (maps.v + np.float32(0.5)) / maps.source_height
@@ -89,6 +90,8 @@ def read_stmap_note(path: str | os.PathLike[str]) -> str:
         FileNotFoundError: If there is no such file.
         ValueError: If it is no EXR or TIFF.
     """
+    import tifffile  # here, as most pictures need none
+
     try:
         if _suffix(path) == ".exr":
             with _opened_exr(Path(path), header_only=True) as file:

@@ -27,9 +27,10 @@ _SYSTEM_FONTS = ["system-ui", "sans-serif"]  # of this computer: nothing is fetc
 
 def theme() -> Base:
     """Quiet, with fonts of the computer at hand."""
-    return Default(
+    plain = Default(
         primary_hue="teal", neutral_hue="slate", font=_SYSTEM_FONTS, font_mono=["monospace"]
     )
+    return plain.set(body_text_color_subdued="*neutral_500")  # dark enough to be read on white
 
 
 def head() -> str:

@@ -49,7 +49,7 @@ def contact_sheet(folder: SuiteFolder, items: list[SuiteItem]) -> UInt8[ndarray,
 
 
 def histogram_sheet(columns: dict[str, Float[ndarray, " n"]]) -> UInt8[ndarray, "h w 3"]:
-    """Histograms side by side, each with its name and range."""
+    """Histograms side by side, each with its name, its range and its highest count."""
     tiles = [_plot(name, values) for name, values in columns.items()]
     tiles += [np.full_like(tiles[0], 255)] * (-len(tiles) % 4)
     return np.vstack([np.hstack(tiles[i : i + 4]) for i in range(0, len(tiles), 4)])
@@ -134,8 +134,14 @@ def _plot(name: str, values: ndarray) -> ndarray:
         x0, x1 = round(left + i * step), round(left + (i + 1) * step) - 2
         y = round(bottom - (bottom - top) * count / max(counts.max(), 1))
         cv2.rectangle(canvas, (x0, y), (x1, bottom), _BAR, -1)
-    font, black = cv2.FONT_HERSHEY_SIMPLEX, (0, 0, 0)
-    cv2.putText(canvas, name, (left, 18), font, 0.45, black, 1, cv2.LINE_AA)
-    for text, x in ((f"{edges[0]:.3g}", left), (f"{edges[-1]:.3g}", width - 70)):
-        cv2.putText(canvas, text, (x, height - 10), font, 0.42, black, 1, cv2.LINE_AA)
+    labels = (
+        (name, left, 18),
+        (f"at most {counts.max()}", None, 18),
+        (f"{edges[0]:.3g}", left, height - 10),
+        (f"{edges[-1]:.3g}", None, height - 10),
+    )
+    for text, x, y in labels:
+        style = cv2.FONT_HERSHEY_SIMPLEX, 0.42
+        x = width - left - cv2.getTextSize(text, *style, 1)[0][0] if x is None else x
+        cv2.putText(canvas, text, (x, y), *style, (0, 0, 0), 1, cv2.LINE_AA)
     return canvas

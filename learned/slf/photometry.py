@@ -98,21 +98,26 @@ def _tensor(value: np.ndarray, like: Tensor) -> Tensor:
     return torch.as_tensor(value, dtype=like.dtype, device=like.device)
 
 
+def _rows(chosen: np.ndarray, like: Tensor) -> Tensor:
+    """Numbers of the chosen samples."""
+    return torch.as_tensor(np.nonzero(chosen)[0], device=like.device)
+
+
 def _blurred(image: Tensor, rng: np.random.Generator, config: PhotometryCfg) -> Tensor:
     batch = len(image)
-    chosen = np.nonzero(rng.random(batch) < config.blur_share)[0]
+    chosen = rng.random(batch) < config.blur_share
     sigma = rng.uniform(0.3, config.blur_px, (batch, 1))
     # as often as not a blur of one axis, like motion along a row or column
     motion = rng.random((2, batch, 1)) < 0.2
-    if len(chosen) == 0:
-        return image.clone()
+    if not chosen.any():
+        return image
     tap = np.arange(_BLUR_TAPS) - _BLUR_TAPS // 2
     kernels = [np.exp(-0.5 * (tap / np.where(m, 0.15, sigma)) ** 2) for m in motion]
     vertical, horizontal = (
         _tensor(k[chosen] / k[chosen].sum(1, keepdims=True), image).repeat_interleave(3, 0)
         for k in kernels
     )
-    rows = torch.as_tensor(chosen, device=image.device)
+    rows = _rows(chosen, image)
     part = image[rows]
     flat = part.reshape(1, -1, *part.shape[2:])
     pad = _BLUR_TAPS // 2
@@ -134,13 +139,15 @@ def _exposed(
     gain = _tensor(np.exp(stops + rng.normal(0, config.cast, (batch, 3))), image)
     gamma = _tensor(np.exp(rng.normal(0, config.gamma, batch)), image)
     curved = rng.random(batch) < 0.5
-    square = _plane_radius(lens, image) ** 2
-    fall = 1.0 - _tensor(loss, image)[:, None, None] * (square / 2).clamp_max(1.0)
-    out = image * fall[:, None]
-    out *= gain[:, :, None, None]
-    # pow is the dearest operation here, and a gamma of 1 is common enough
-    rows = torch.as_tensor(np.nonzero(curved)[0], device=image.device)
+    out = image * gain[:, :, None, None]
+    rows = _rows(loss > 0, image)
+    if len(rows):
+        fall = _plane_square(lens[rows], image).mul_(0.5).clamp_max_(1.0)
+        fall.mul_(-_tensor(loss, image)[rows, None, None]).add_(1.0)
+        out[rows] *= fall[:, None]
     out.clamp_(0, 1)
+    # pow is the dearest operation here, and a gamma of 1 is common enough
+    rows = _rows(curved, image)
     if len(rows):
         out[rows] = out[rows].pow_(gamma[rows, None, None, None])
     return out
@@ -157,22 +164,27 @@ def _edged(image: Tensor, lens: Optics, rng: np.random.Generator, config: Photom
         rng.random(batch) < 0.75, rng.uniform(0, 0.12, batch), rng.uniform(0, 1, batch)
     )
     surround = surround * (rng.random(batch) < config.surround_share)
-    r = _plane_radius(lens, image)
-    edge = torch.minimum(radius(lens.theta_max[:, None], lens.vector[:, :5])[:, 0], lens.circle)
-    inwards = edge[:, None, None] - r
-    inside_rows = _plane_rows(lens, image) <= lens.half_height[:, None, None]
     rows = torch.nonzero(torch.isfinite(lens.circle))[:, 0]
     if len(rows):
         # the edge is hard elsewhere, where the frame or the scene ends and not the lens
-        part = inwards[rows]
-        fade = (part / _tensor(soft, image)[rows, None, None]).clamp_(0, 1)
-        glow = torch.exp(-((part / _tensor(ring_width, image)[rows, None, None]) ** 2))
-        glow = (glow * inside_rows[rows])[:, None] * _tensor(ring, image)[rows][:, :, None, None]
+        inwards, inside_rows = _inwards(lens[rows], image)
+        fade = (inwards / _tensor(soft, image)[rows, None, None]).clamp_(0, 1)
+        glow = torch.exp(-((inwards / _tensor(ring_width, image)[rows, None, None]) ** 2))
+        glow = (glow * inside_rows)[:, None] * _tensor(ring, image)[rows][:, :, None, None]
         image[rows] = image[rows] * fade[:, None] + glow
-    if surround.any():
+    rows = _rows(surround > 0, image)
+    if len(rows):
+        inwards, inside_rows = _inwards(lens[rows], image)
         outside = (inwards < 0) | ~inside_rows
-        image = image + (outside * _tensor(surround, image)[:, None, None])[:, None]
+        image[rows] += (outside * _tensor(surround, image)[rows, None, None])[:, None]
     return image
+
+
+def _inwards(lens: Optics, like: Tensor) -> tuple[Tensor, Tensor]:
+    """How far every pixel lies inside the image circle, and whether its row is shown."""
+    edge = torch.minimum(radius(lens.theta_max[:, None], lens.vector[:, :5])[:, 0], lens.circle)
+    inwards = _plane_square(lens, like).sqrt_().neg_().add_(edge[:, None, None])
+    return inwards, _plane_rows(lens, like) <= lens.half_height[:, None, None]
 
 
 def _noisy(image: Tensor, rng: np.random.Generator, config: PhotometryCfg) -> Tensor:
@@ -208,12 +220,14 @@ def _compressed(image: Tensor, rng: np.random.Generator, config: PhotometryCfg) 
     step = _tensor(table, image).view(-1, 1, 1, _BLOCK, 1, _BLOCK)
     basis = _tensor(_cosine_basis(), image)
     rows = torch.as_tensor(chosen, device=image.device)
-    part = image[rows][:, :, :height, :width]
-    blocks = part.reshape(len(rows), 3, height // _BLOCK, _BLOCK, width // _BLOCK, _BLOCK)
-    blocks = torch.einsum("ik,bcykxl,jl->bcyixj", basis, blocks, basis)
-    blocks = (blocks / step).round_() * step
-    blocks = torch.einsum("ik,bcyixj,jl->bcykxl", basis, blocks, basis)
-    image[rows, :, :height, :width] = blocks.reshape(part.shape)
+    part = image[rows, :, :height, :width]
+    # along rows, then along columns: neither needs another order in memory
+    blocks = part.reshape(-1, _BLOCK) @ basis.T
+    blocks = torch.matmul(basis, blocks.view(-1, _BLOCK, width))
+    blocks = blocks.view(len(rows), 3, height // _BLOCK, _BLOCK, width // _BLOCK, _BLOCK)
+    blocks.div_(step).round_().mul_(step)
+    blocks = torch.matmul(basis.T, blocks.view(-1, _BLOCK, width))
+    image[rows, :, :height, :width] = (blocks.view(-1, _BLOCK) @ basis).view(part.shape)
     return image
 
 
@@ -225,13 +239,12 @@ def _cosine_basis() -> np.ndarray:
     return basis
 
 
-def _plane_radius(lens: Optics, like: Tensor) -> Tensor:
-    """Radius of every pixel in the isotropic plane of r(θ)."""
+def _plane_square(lens: Optics, like: Tensor) -> Tensor:
+    """Squared radius of every pixel in the isotropic plane of r(θ)."""
     index = _coordinate(like)
-    view = (-1, 1, 1)
-    x = (index[None, None, :] - lens.vector[:, 7].view(view)) / lens.vector[:, 5].view(view)
-    y = (index[None, :, None] - lens.vector[:, 8].view(view)) / lens.vector[:, 6].view(view)
-    return torch.sqrt(x * x + y * y)
+    x = (index - lens.vector[:, 7, None]) / lens.vector[:, 5, None]
+    y = (index - lens.vector[:, 8, None]) / lens.vector[:, 6, None]
+    return (x * x)[:, None, :] + (y * y)[:, :, None]
 
 
 def _plane_rows(lens: Optics, like: Tensor) -> Tensor:

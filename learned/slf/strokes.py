@@ -92,24 +92,34 @@ def bent_strokes(
         index = index[seen]
     points, which = points.index_select(0, index), which.index_select(0, index)
     # a run ends where the piece changes or where a hidden or unseen point lies between
-    continues = torch.zeros(len(points), dtype=torch.bool, device=points.device)
-    continues[:-1] = (which[1:] == which[:-1]) & (index[1:] == index[:-1] + 1)
-    starts = torch.ones_like(continues)
-    starts[1:] = ~continues[:-1]
-    run = torch.cumsum(starts, 0) - 1
-    step = torch.zeros_like(points)
-    step[:-1] = points[1:] - points[:-1]
-    distance = torch.hypot(step[:, 0], step[:, 1]) * continues
-    first = torch.nonzero(starts)[:, 0]
-    length = torch.zeros(len(first), dtype=points.dtype, device=points.device)
-    length.index_add_(0, run, distance)
-    tangent = step / distance.clamp_min(1e-9)[:, None] * continues[:, None]
+    continues = _follows(index) & _same(which)
+    run, first, step, length = _numbered(points, continues)
+    tangent = step / torch.hypot(step[:, 0], step[:, 1]).clamp_min(1e-9)[:, None]
     # the last point of a run has the direction of the one before
     tangent[1:] += tangent[:-1] * (~continues[1:])[:, None]
     segment = which.index_select(0, first)
     rows = segments.row.index_select(0, segment)
     share = share.index_select(0, index)
     runs = Strokes(points, tangent, share, run, length, rows, original[segment])
+    return filtered_strokes(runs, length >= shortest_px)
+
+
+def cut_strokes(strokes: Strokes, keep: Bool[Tensor, " n"], *, shortest_px: float) -> Strokes:
+    """Runs without some of their points; what is left of a run is one run or several.
+
+    Args:
+        strokes: The runs.
+        keep: False for points that go.
+        shortest_px: Runs shorter than this are dropped.
+    """
+    kept = torch.nonzero(keep)[:, 0]
+    before = strokes.run.index_select(0, kept)
+    points, tangent, share = (
+        x.index_select(0, kept) for x in (strokes.points, strokes.tangent, strokes.share)
+    )
+    run, first, _, length = _numbered(points, _follows(kept) & _same(before))
+    old = before.index_select(0, first)
+    runs = Strokes(points, tangent, share, run, length, strokes.row[old], strokes.segment[old])
     return filtered_strokes(runs, length >= shortest_px)
 
 
@@ -152,6 +162,31 @@ def ragged_arange(counts: Int[Tensor, " n"]) -> tuple[Int[Tensor, " m"], Int[Ten
     before = torch.cumsum(counts, 0) - counts
     place = torch.arange(len(owner), device=counts.device)
     return owner, place.sub_(before.index_select(0, owner))
+
+
+def _same(values: Tensor) -> Tensor:
+    """True where the next value is the same."""
+    same = torch.zeros(len(values), dtype=torch.bool, device=values.device)
+    same[:-1] = values[1:] == values[:-1]
+    return same
+
+
+def _follows(index: Tensor) -> Tensor:
+    """True where the next number is one more."""
+    return _same(index - torch.arange(len(index), device=index.device))
+
+
+def _numbered(points: Tensor, continues: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    """Run of each point, first point of each run, step to the next point, length of each run."""
+    starts = torch.ones_like(continues)
+    starts[1:] = ~continues[:-1]
+    run = torch.cumsum(starts, 0) - 1
+    step = torch.zeros_like(points)
+    step[:-1] = (points[1:] - points[:-1]) * continues[:-1, None]
+    first = torch.nonzero(starts)[:, 0]
+    length = torch.zeros(len(first), dtype=points.dtype, device=points.device)
+    length.index_add_(0, run, torch.hypot(step[:, 0], step[:, 1]))
+    return run, first, step, length
 
 
 def _worth_imaging(

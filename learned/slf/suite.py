@@ -115,17 +115,16 @@ class SuiteFolder:
             ValueError: If the folder holds a suite with other settings.
         """
         full = {"format": FORMAT, **header}
-        if (self.path / "suite.json").exists():
-            if (found := self.header()) != json.loads(json.dumps(full)):
-                raise ValueError(
-                    f"expected the settings of the suite that is there already, {found}, got {full}"
-                )
-            for folder in (self.path, *(self.path / name for name in _FOLDERS)):
-                remove_leftovers(folder)
-            return
-        for name in _FOLDERS:
-            (self.path / name).mkdir(parents=True, exist_ok=True)
-        write_whole(self.path / "suite.json", json.dumps(full, indent=1).encode() + b"\n")
+        begun = (self.path / "suite.json").exists()
+        if begun and (found := self.header()) != json.loads(json.dumps(full)):
+            raise ValueError(
+                f"expected the settings of the suite that is there already, {found}, got {full}"
+            )
+        for folder in (self.path, *(self.path / name for name in _FOLDERS)):
+            folder.mkdir(parents=True, exist_ok=True)
+            remove_leftovers(folder)
+        if not begun:
+            write_whole(self.path / "suite.json", json.dumps(full, indent=1).encode() + b"\n")
 
     def indices(self) -> list[int]:
         """Numbers of the finished items."""

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from numpy import ndarray
 
 from learned.slf.layouts import draw_rotations
@@ -33,6 +33,7 @@ class RoomScene:
         colour: Linear RGB per material.
         roughness: Roughness per material.
         emission: Emitted radiance per material, 0 for most.
+        is_pane: Whether the camera sees the outside in a material, which shines.
         pattern: Drawn texture per material, −1 for plain.
         tile: Width and height of one texture per material, metres.
         shell: Half sizes of the room, or of the ground in the open.
@@ -55,6 +56,7 @@ class RoomScene:
     colour: Float[ndarray, "m 3"]
     roughness: Float[ndarray, " m"]
     emission: Float[ndarray, " m"]
+    is_pane: Bool[ndarray, " m"]
     pattern: Int[ndarray, " m"]
     tile: Float[ndarray, "m 2"]
     shell: Float[ndarray, " 3"]
@@ -89,7 +91,7 @@ class SceneBuilder:
         self.placed: list[tuple[int, ndarray]] = []
         self.bounds: list[tuple[ndarray, ndarray, float]] = []
         self.solids: list[tuple[ndarray, ndarray, float, int]] = []
-        self.materials: list[tuple[ndarray, float, float, int, ndarray]] = []
+        self.materials: list[tuple[ndarray, float, float, bool, int, ndarray]] = []
         self.footprints: list[tuple[ndarray, float]] = []
 
     def new_material(
@@ -98,6 +100,7 @@ class SceneBuilder:
         low: float = 0.03,
         high: float = 0.8,
         emission: float = 0.0,
+        is_pane: bool = False,
         pattern: str = "",
         pattern_m: float = 1.0,
     ) -> int:
@@ -108,7 +111,8 @@ class SceneBuilder:
         drawn = self.patterns.get(pattern, ())
         number = int(drawn[int(rng.integers(len(drawn)))]) if len(drawn) else -1
         tile = np.array([rng.uniform(0.9, 1.6), 1.0]) * pattern_m
-        self.materials.append((colour, float(rng.uniform(0.15, 0.9)), emission, number, tile))
+        roughness = float(rng.uniform(0.15, 0.9))
+        self.materials.append((colour, roughness, emission, is_pane, number, tile))
         return len(self.materials) - 1
 
     def add(self, part: Part, origin: ndarray, yaw: float, material: int) -> None:
@@ -128,7 +132,8 @@ class SceneBuilder:
             return
         first = len(self.materials)
         for i in range(_COLOURS_A_PIECE):
-            self.new_material(emission=pane if i == _PANE else 0.0)
+            is_pane = i == _PANE
+            self.new_material(emission=pane if is_pane else 0.0, is_pane=is_pane)
         for part in piece.parts:
             self.add(part, origin, yaw, first + part.colour)
 
@@ -174,7 +179,7 @@ def finished(
     centre, half = (np.array([s[i] for s in build.solids]) for i in (0, 1))
     yaw = np.array([s[2] for s in build.solids])
     reach = np.array([4.0, 0.0, 12.0]) if is_open else shell - [0.5, 0.0, 0.5]
-    colour, roughness, emission, pattern, tile = (
+    colour, roughness, emission, is_pane, pattern, tile = (
         np.array(x) for x in zip(*build.materials, strict=True)
     )
     return RoomScene(
@@ -185,6 +190,7 @@ def finished(
         colour=colour,
         roughness=roughness,
         emission=emission,
+        is_pane=is_pane,
         pattern=pattern,
         tile=tile,
         shell=shell,

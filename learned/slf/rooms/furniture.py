@@ -70,7 +70,8 @@ def chair(rng: np.random.Generator) -> Piece:
     """Chair with a back."""
     w, d, h = rng.uniform(0.4, 0.48), rng.uniform(0.4, 0.48), rng.uniform(0.43, 0.47)
     parts = [_block(-w / 2, h, 0.0, w, 0.04, d, 0), *_legs(w, h, d, 0.035, 1)]
-    parts += [_block(x, h, d - 0.035, 0.035, 0.48, 0.035, 1) for x in (-w / 2, w / 2 - 0.035)]
+    posts = (-w / 2, w / 2 - 0.035)
+    parts += [_block(x, h + 0.04, d - 0.035, 0.035, 0.44, 0.035, 1) for x in posts]
     parts += [_block(-w / 2, h + y, d - 0.03, w, 0.1, 0.02, 0) for y in (0.14, 0.34)]
     return Piece(parts, w, d, h + 0.5)
 
@@ -102,7 +103,7 @@ def bookshelf(rng: np.random.Generator) -> Piece:
         while x < w / 2 - 0.12 and rng.random() < 0.93:
             thick, high = rng.uniform(0.025, 0.1), step * rng.uniform(0.55, 0.85)
             place = (x, i * step + 0.025, 0.04, thick - 0.003, high, 0.2)
-            parts.append(_block(*place, int(rng.integers(1, 6))))
+            parts.append(_block(*place, int(rng.integers(1, 5))))
             x += thick
     return Piece(parts, w, d, h)
 
@@ -142,8 +143,8 @@ def sofa(rng: np.random.Generator) -> Piece:
     seats, d = int(rng.integers(1, 4)), rng.uniform(0.8, 0.95)
     w = 0.65 * seats + 0.36
     parts = [
-        _block(-w / 2, 0.08, 0.0, w, 0.2, d, 0),
-        _block(-w / 2, 0.28, d - 0.22, w, 0.5, 0.22, 0),
+        _block(-w / 2 + 0.18, 0.08, 0.0, w - 0.36, 0.2, d, 0),
+        _block(-w / 2 + 0.18, 0.28, d - 0.22, w - 0.36, 0.5, 0.22, 0),
     ]
     parts += [_block(x, 0.08, 0.0, 0.18, 0.52, d, 0) for x in (-w / 2, w / 2 - 0.18)]
     for i in range(seats):
@@ -193,7 +194,7 @@ def door(rng: np.random.Generator) -> Piece:
 
 
 def window(rng: np.random.Generator) -> Piece:
-    """Window with mullions; colour 5 is its pane, which shines."""
+    """Window with mullions; colour 5 is its pane, through which one sees the outside."""
     w, h, sill = rng.uniform(0.7, 2.2), rng.uniform(0.9, 1.4), rng.uniform(0.7, 1.0)
     parts = [_block(-w / 2, sill, 0.02, w, h, 0.02, 5)]
     parts += [_block(x, sill - 0.06, 0.0, 0.06, h + 0.12, 0.04, 1) for x in (-w / 2 - 0.06, w / 2)]

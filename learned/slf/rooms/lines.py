@@ -11,12 +11,20 @@ from learned.slf.boxes import FACES, Boxes, edge_segments, pattern_segments
 from learned.slf.optics import Optics, unproject
 from learned.slf.rooms.builder import RoomScene
 from learned.slf.rooms.sight import BoxSight, Sight
-from learned.slf.strokes import Segments3D, Strokes, bent_strokes, filtered_strokes
+from learned.slf.strokes import (
+    Segments3D,
+    Strokes,
+    bent_strokes,
+    cut_strokes,
+    filtered_strokes,
+)
 
 _SIDE_PX = 1.2
 _GROUND = 3
 _SKY_M = 200.0
 _LEAST_SEEN = 0.6
+_CELL_PX, _CROWD = 6.0, 3  # so many lines of one direction in a cell melt into grey
+_DIRECTIONS = 4
 
 
 @dataclass(frozen=True)
@@ -83,7 +91,7 @@ def room_strokes(
     """Visible lines of the room in the fisheye picture, with the pieces they are of.
 
     An edge counts where the two sides of it differ: another face, material or distance. A seam of
-    two flush boxes does not.
+    two flush boxes does not, nor do lines of a drawn texture that lie too close to be told apart.
 
     Args:
         room: The boxes.
@@ -108,7 +116,21 @@ def room_strokes(
     differs = sight.differ(*_sides(lens, strokes)).to(torch.float32)
     share = torch.zeros_like(strokes.length).index_add_(0, strokes.run, differs)
     share /= torch.bincount(strokes.run, minlength=len(strokes.length)).clamp_min(1)
-    return filtered_strokes(strokes, ~is_edge | (share >= _LEAST_SEEN)), segments
+    strokes = filtered_strokes(strokes, ~is_edge | (share >= _LEAST_SEEN))
+    is_drawn = strokes.segment >= len(segments) - len(parts[-1])
+    crowded = is_drawn.index_select(0, strokes.run) & _is_crowded(strokes)
+    return cut_strokes(strokes, ~crowded, shortest_px=shortest_px), segments
+
+
+def _is_crowded(strokes: Strokes) -> Tensor:
+    """True for points among lines of one direction that are too near to be told apart."""
+    angle = torch.atan2(strokes.tangent[:, 1], strokes.tangent[:, 0]) / np.pi
+    direction = torch.round(angle * _DIRECTIONS).long() % _DIRECTIONS
+    column, row = torch.floor(strokes.points / _CELL_PX).long().unbind(1)
+    cells = torch.stack([column, row, direction], 1)
+    _, cell = torch.unique(cells, dim=0, return_inverse=True)
+    owners = torch.unique(torch.stack([cell, strokes.run], 1), dim=0)[:, 0]
+    return torch.bincount(owners, minlength=int(cell.max()) + 1 if len(cell) else 0)[cell] >= _CROWD
 
 
 def _sides(lens: Optics, strokes: Strokes) -> tuple[Tensor, Tensor]:

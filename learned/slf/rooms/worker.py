@@ -12,6 +12,7 @@ scene; see `render.py`.
 import json
 import math
 import sys
+import tempfile
 import traceback
 
 import bpy  # type: ignore[import-not-found]
@@ -70,6 +71,8 @@ FACES = (
     ((4, 5, 7, 6), (0, 1)),
 )
 SKIES = ("city", "forest", "sunrise", "sunset")
+VIEWS = ("forest", "sunrise", "sunset")  # no houses: their lines would not be known
+MIDDLE_GREY = 0.35  # linear; half of the picture may be brighter
 FIRST_MODEL = 1_000_000  # surfaces below are materials of boxes
 TREE = {}
 PARAMETERS = ("k1", "k2", "k3", "k4", "k5", "m_v", "u0", "v0", "theta_max", "circle", "half_height")
@@ -196,6 +199,8 @@ def build_material(number, job):
     if scene["emission"][number] > 0:
         shader.inputs["Emission Color"].default_value = (1.0, 0.97, 0.92, 1.0)
         shader.inputs["Emission Strength"].default_value = scene["emission"][number]
+        if scene["is_pane"][number]:
+            add_view(tree, shader, scene)
     if scene["pattern"][number] >= 0:
         add_pattern(
             tree, shader, job["patterns"][str(scene["pattern"][number])], scene["tile"][number]
@@ -239,16 +244,38 @@ def build_lights(scene):
 
 def add_sky(tree, background, scene):
     """One of Blender's own panoramas, turned."""
+    place = tree.nodes.new("ShaderNodeTexCoord")
+    sky = panorama(tree, place.outputs["Generated"], SKIES, scene)
+    tree.links.new(sky, background.inputs["Color"])
+
+
+def add_view(tree, shader, scene):
+    """What the camera sees through a pane; the pane lights the room evenly, which is less noisy."""
+    geometry, path, mix, outwards = (
+        tree.nodes.new(f"ShaderNode{kind}")
+        for kind in ("NewGeometry", "LightPath", "MixRGB", "VectorMath")
+    )
+    outwards.operation = "SCALE"
+    outwards.inputs["Scale"].default_value = -1.0
+    tree.links.new(geometry.outputs["Incoming"], outwards.inputs[0])
+    view = panorama(tree, outwards.outputs[0], VIEWS, scene)
+    mix.inputs["Color1"].default_value = shader.inputs["Emission Color"].default_value
+    tree.links.new(path.outputs["Is Camera Ray"], mix.inputs["Fac"])
+    tree.links.new(view, mix.inputs["Color2"])
+    tree.links.new(mix.outputs["Color"], shader.inputs["Emission Color"])
+
+
+def panorama(tree, direction, names, scene):
+    """Colours of one of Blender's own panoramas in a direction, turned."""
     folder = bpy.utils.resource_path("LOCAL") + "/datafiles/studiolights/world"
     sky = tree.nodes.new("ShaderNodeTexEnvironment")
-    name = SKIES[int(scene["sky_turn"] * 1e3) % len(SKIES)]
-    sky.image = bpy.data.images.load(f"{folder}/{name}.exr")
+    name = names[int(scene["sky_turn"] * 1e3) % len(names)]
+    sky.image = bpy.data.images.load(f"{folder}/{name}.exr", check_existing=True)
     turn = tree.nodes.new("ShaderNodeMapping")
     turn.inputs["Rotation"].default_value[2] = scene["sky_turn"]
-    place = tree.nodes.new("ShaderNodeTexCoord")
-    tree.links.new(place.outputs["Generated"], turn.inputs["Vector"])
+    tree.links.new(direction, turn.inputs["Vector"])
     tree.links.new(turn.outputs["Vector"], sky.inputs["Vector"])
-    tree.links.new(sky.outputs["Color"], background.inputs["Color"])
+    return sky.outputs["Color"]
 
 
 def set_camera(job, *, fisheye):
@@ -295,12 +322,30 @@ def set_renderer(job):
     render.resolution_percentage = 100
     render.use_persistent_data = True
     render.threads_mode, render.threads = "FIXED", job["threads"]
-    render.image_settings.file_format, render.image_settings.color_mode = "PNG", "RGB"
-    render.image_settings.color_depth = "8"
     render.dither_intensity = 0.0
     render.use_stamp = False
     scene.view_settings.view_transform = "Standard"
-    scene.view_settings.exposure = job["scene"]["exposure"]
+
+
+def save(path, file_format, depth):
+    """Write the last render; only a PNG is seen through the exposure."""
+    settings = bpy.context.scene.render.image_settings
+    settings.file_format, settings.color_mode, settings.color_depth = file_format, "RGB", depth
+    bpy.data.images["Render Result"].save_render(path)
+
+
+def metered():
+    """Stops that darken the last render until half of what it shows is no brighter than grey."""
+    with tempfile.TemporaryDirectory(prefix="metered-") as folder:
+        path = f"{folder}/linear.exr"
+        save(path, "OPEN_EXR", "32")
+        image = bpy.data.images.load(path)
+        pixels = np.empty(len(image.pixels), np.float32)
+        image.pixels.foreach_get(pixels)
+        bpy.data.images.remove(image)
+    light = pixels.reshape(-1, 4)[:, :3] @ np.array([0.2126, 0.7152, 0.0722], np.float32)
+    middle = float(np.median(light[light > 0])) if (light > 0).any() else 0.0
+    return min(0.0, math.log2(MIDDLE_GREY / max(middle, 1e-6)))
 
 
 def run(job):
@@ -312,10 +357,13 @@ def run(job):
     import_models(job)
     build_lights(scene)
     set_renderer(job)
+    view = bpy.context.scene.view_settings
     for fisheye, path in ((True, job["fisheye"]), (False, job["straight"])):
         set_camera(job, fisheye=fisheye)
-        bpy.context.scene.render.filepath = path
-        bpy.ops.render.render(write_still=True)
+        bpy.ops.render.render()
+        if fisheye:
+            view.exposure = scene["exposure"] + metered()
+        save(path, "PNG", "8")
 
 
 def main():

@@ -1,7 +1,7 @@
 """Figures of the classical baselines: against reference outputs, and on bent photographs.
 
-    python benchmarks/bench_baselines.py reference FOLDER   # reference.json beside its pictures
-    python benchmarks/bench_baselines.py warps FOLDER       # perspective photographs to bend
+    python -m benchmarks.baselines reference FOLDER   # reference.json beside its pictures
+    python -m benchmarks.baselines warps FOLDER       # perspective photographs to bend
 
 `reference` compares with answers of the authors' own programs: displacement at mid-radius, aligned
 error in px of a 320 px frame, and seconds. `warps` bends photographs to 320x320 with odd-polynomial

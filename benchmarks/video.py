@@ -1,6 +1,6 @@
 """Processor time a frame of each stage of `straightlens video`, on a made-up film of 1920x1080.
 
-    python benchmarks/bench_video.py [--frames 60] [--film FILE]
+    python -m benchmarks.video [--frames 60] [--film FILE]
 
 Processor time is told, not wall time, so that other work on the machine disturbs it less; the three
 stages run side by side, so on two idle cores a frame takes about half of their sum.

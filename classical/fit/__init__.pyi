@@ -1,0 +1,21 @@
+"""The names of `classical.fit` for type checkers; `__init__.py` imports each when it is used."""
+
+from .fitted import fitted_curves as fitted_curves
+from .observations import Observation as Observation
+from .observations import of_belief as of_belief
+from .observations import of_belief_field as of_belief_field
+from .observations import of_field as of_field
+from .observations import of_focal as of_focal
+from .plumb_line import FitConfig as FitConfig
+from .plumb_line import fit_lens as fit_lens
+from .prior import LensPrior as LensPrior
+from .prior import fused as fused
+from .prior import generic_prior as generic_prior
+from .quality import predicted_error as predicted_error
+from .result import FittedCurve as FittedCurve
+from .result import LensFit as LensFit
+from .search import SearchConfig as SearchConfig
+from .solve import SolverConfig as SolverConfig
+from .vanishing import ScaleEstimate as ScaleEstimate
+from .vanishing import VanishingConfig as VanishingConfig
+from .vanishing import scale_from_directions as scale_from_directions
