@@ -11,11 +11,10 @@ import logging
 import os
 import sys
 from importlib.metadata import EntryPoint, entry_points
-from pathlib import Path
 
 import click
 
-from classical.files import is_temporary
+from hybrid.failures import words_of
 
 COMMAND_GROUP = "straightlens.commands"
 MISUSE, FAILURE, INTERRUPTED = 2, 1, 130
@@ -83,20 +82,10 @@ def run(arguments: list[str] | None = None) -> int:
     except BrokenPipeError:
         return FAILURE
     except OSError as error:
-        return _complain("straightlens", _words_of(error), FAILURE)
+        return _complain("straightlens", words_of(error), FAILURE)
     except ValueError as error:
         return _complain("straightlens", str(error), FAILURE)
     return code if isinstance(code, int) else 0
-
-
-def _words_of(error: OSError) -> str:
-    """File and reason, without the number and without the temporary folder that a file began in."""
-    if not error.strerror:
-        return str(error)
-    if error.filename is None:
-        return error.strerror
-    parts = Path(os.fsdecode(error.filename)).parts
-    return f"{Path(*(part for part in parts if not is_temporary(part)))}: {error.strerror}"
 
 
 def _complain(name: str, message: str, code: int) -> int:

@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import errno
+import os
 from pathlib import Path
+
+from classical.files import is_temporary
 
 ITEM_ERRORS = (OSError, ValueError, MemoryError)  # they end one item, not the command
 _HITS_ALL = (errno.ENOSPC, errno.EDQUOT, errno.EROFS)  # a full disk
@@ -23,5 +26,15 @@ def reason_of(error: Exception, path: Path) -> str:
         raise error
     if isinstance(error, MemoryError):
         return "not enough memory"
-    text = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
+    text = words_of(error) if isinstance(error, OSError) else str(error)
     return " ".join(text.split()).removeprefix(f"{path}: ")
+
+
+def words_of(error: OSError) -> str:
+    """File and reason, without the number and without the temporary folder that a file began in."""
+    if not error.strerror:
+        return str(error)
+    if error.filename is None:
+        return error.strerror
+    parts = Path(os.fsdecode(error.filename)).parts
+    return f"{Path(*(part for part in parts if not is_temporary(part)))}: {error.strerror}"

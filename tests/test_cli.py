@@ -16,6 +16,7 @@ from PIL import Image
 from classical.camera import KannalaBrandt
 from hybrid import CameraFile, Quality, read_camera, read_picture, write_camera
 from hybrid.cli import run
+from hybrid.failures import reason_of
 
 SIZE = (240, 180)
 LENS = KannalaBrandt.centred(np.array([0.95, -0.06, 0.004, 0.0, 0.0]), *SIZE)
@@ -233,6 +234,12 @@ def test_a_denied_write_is_one_line_and_leaves_nothing(tmp_path, capsys, monkeyp
     assert run(words("rectify", source, "--out", tmp_path / "out", "--camera", lens)) == 1
     assert "a.png: Permission denied" in one_line(capsys)
     assert list((tmp_path / "out").iterdir()) == []
+
+
+def test_a_file_that_cannot_be_written_is_named_and_not_its_input(tmp_path: Path) -> None:
+    error = PermissionError(13, "Permission denied", str(tmp_path / "out" / "a.png"))
+    assert reason_of(error, tmp_path / "a.png") == f"{tmp_path}/out/a.png: Permission denied"
+    assert reason_of(error, tmp_path / "out" / "a.png") == "Permission denied"
 
 
 # ---- misuse -----------------------------------------------------------------------------------

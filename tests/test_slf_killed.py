@@ -105,8 +105,12 @@ def finished_items(out: Path) -> int:
 @contextmanager
 def started(line: list[str]) -> Iterator[subprocess.Popen[bytes]]:
     """A process in a group of its own, so that nothing of it outlives the test."""
-    quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
-    process = subprocess.Popen([*PROGRAM, *line], start_new_session=True, **quiet)
+    process = subprocess.Popen(
+        [*PROGRAM, *line],
+        start_new_session=True,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+    )
     try:
         yield process
     finally:
