@@ -50,7 +50,8 @@ class HybridConfig:
         believes: LaRecNet's lens is a belief beside a start.
         field_doubt: The standard deviation of its field of view is widened so far, …
         shape_doubt: … and those of the whole lens so far: a network does worse on real pictures
-            than on those it was trained on, and worst in the shape of the lens.
+            than on those it was trained on, and worst in the shape of the lens. Weights that are
+            for pictures like their training set alone say so in their card ("doubt").
         has_vanishing: Orthogonal vanishing points help to fix the scale.
         longest: Line perception looks at the picture with this longest side, pixels.
     """
@@ -104,9 +105,10 @@ class HybridEstimator:
         if belief is not None:
             starts.append(belief.decode(np.zeros(8), width, height))
             if cfg.believes:
+                doubt = self._predictor.card.get("doubt", {})
                 observations += [
-                    of_belief_field(belief, _NETWORK, doubt=cfg.field_doubt),
-                    of_belief(belief, _NETWORK, doubt=cfg.shape_doubt),
+                    of_belief_field(belief, _NETWORK, doubt=doubt.get("field", cfg.field_doubt)),
+                    of_belief(belief, _NETWORK, doubt=doubt.get("shape", cfg.shape_doubt)),
                 ]
         fit = fit_lens(
             curves,
