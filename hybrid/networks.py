@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from jaxtyping import UInt8
+from jaxtyping import Float, UInt8
 from numpy import ndarray
 
 from classical.camera import KannalaBrandt, nearest_kannala_brandt
-from classical.fit import LensPrior, fitted_curves, fused, predicted_error
+from classical.fit import LensPrior, fitted_curves, fused, generic_prior, predicted_error
 from classical.lines import curves_from_image
 from hybrid.config import RectifyConfig
 from hybrid.result import Calibration, Quality
@@ -72,10 +72,20 @@ class RongEstimator:
 
 
 def network_belief(predictions: Sequence[LensPrediction]) -> LensPrior | None:
-    """What the network believes of the one lens of all pictures, or None without an estimate."""
+    """What the network believes of the one lens of all pictures, or None without an estimate.
+
+    Weights without a covariance head (the paper's network) are believed as far as lenses in general
+    differ from one another.
+    """
     beliefs = [
-        LensPrior(prediction.camera.to_vector(), prediction.covariance)
+        LensPrior(camera.to_vector(), _spread(camera, prediction))
         for prediction in predictions
-        if prediction.camera is not None and prediction.covariance is not None
+        if (camera := prediction.camera) is not None
     ]
     return fused(beliefs) if beliefs else None
+
+
+def _spread(camera: KannalaBrandt, prediction: LensPrediction) -> Float[ndarray, "9 9"]:
+    if prediction.covariance is not None:
+        return prediction.covariance
+    return generic_prior(float(camera.k[0]), camera.width, camera.height).covariance

@@ -11,6 +11,8 @@ from eval.metrics import aligned_error
 from hybrid import Rectifier, RectifyConfig, read_picture
 from hybrid.config import METHOD_VARIANTS
 from hybrid.fusion import VARIANTS
+from hybrid.networks import network_belief
+from learned.predictor import LensPrediction
 
 EXAMPLE = Path(__file__).parents[1] / "examples" / "room.jpg"
 
@@ -110,3 +112,16 @@ def test_a_picture_of_nothing_fails(hybrid, level):
     found = hybrid.rectify(np.full((240, 320, 3), level, np.uint8), throw=False)
     assert found.status == "failed"
     assert found.camera is None
+
+
+def test_weights_without_a_covariance_are_believed_as_far_as_lenses_differ(truth):
+    belief = network_belief([LensPrediction(truth, None, None)])
+    assert belief is not None
+    assert np.allclose(belief.mean, truth.normalized().to_vector())
+    assert np.sqrt(belief.covariance[0, 0]) > 0.1 * truth.normalized().k[0]
+    assert network_belief([LensPrediction(None, None, None)]) is None
+
+
+def test_threads_do_not_change_the_answer(found, room):
+    alone = Rectifier(RectifyConfig(method="hybrid", threads=1)).rectify(room)
+    assert np.array_equal(alone.camera.to_vector(), found.camera.to_vector())
