@@ -18,6 +18,8 @@ from numpy import ndarray
 
 from classical.fit import (
     FitConfig,
+    LensPrior,
+    Observation,
     VanishingConfig,
     fit_lens,
     of_belief,
@@ -48,10 +50,10 @@ class HybridConfig:
         snaps: Curves of the heatmap lie on the picture's sub-pixel edges, not on its centre lines.
         adds_edges: Edges that the heatmap does not mark are curves too.
         believes: LaRecNet's lens is a belief beside a start.
-        field_doubt: The standard deviation of its field of view is widened so far, …
-        shape_doubt: … and those of the whole lens so far: a network does worse on real pictures
-            than on those it was trained on, and worst in the shape of the lens. Weights that are
-            for pictures like their training set alone say so in their card ("doubt").
+        field_doubt: What is believed of LaRecNet's lens is its field of view, its standard
+            deviation widened so far: a network does worse on real pictures than on those it was
+            trained on, and worst in the shape of the lens. The whole lens is believed where the
+            weights are for pictures like their training set alone: their card has a "doubt".
         has_vanishing: Orthogonal vanishing points help to fix the scale.
         longest: Line perception looks at the picture with this longest side, pixels.
     """
@@ -59,8 +61,7 @@ class HybridConfig:
     snaps: bool = True
     adds_edges: bool = True
     believes: bool = True
-    field_doubt: float = 2.0
-    shape_doubt: float = 8.0
+    field_doubt: float = 4.0
     has_vanishing: bool = True
     longest: int = 640
 
@@ -105,11 +106,7 @@ class HybridEstimator:
         if belief is not None:
             starts.append(belief.decode(np.zeros(8), width, height))
             if cfg.believes:
-                doubt = self._predictor.card.get("doubt", {})
-                observations += [
-                    of_belief_field(belief, _NETWORK, doubt=doubt.get("field", cfg.field_doubt)),
-                    of_belief(belief, _NETWORK, doubt=doubt.get("shape", cfg.shape_doubt)),
-                ]
+                observations.append(self._believed(belief))
         fit = fit_lens(
             curves,
             width,
@@ -122,6 +119,13 @@ class HybridEstimator:
             starts=starts,
         )
         return replace(estimate_from_fit(fit), heatmaps=heatmaps)
+
+    def _believed(self, belief: LensPrior) -> Observation:
+        """What the fit takes from LaRecNet's lens; see `HybridConfig.field_doubt`."""
+        doubt = self._predictor.card.get("doubt")
+        if doubt is None:
+            return of_belief_field(belief, _NETWORK, doubt=self._hybrid.field_doubt)
+        return of_belief(belief, _NETWORK, doubt=float(doubt))
 
     def _lineness(self, picture: UInt8[ndarray, "h w 3"]) -> Float[ndarray, "hh ww"]:
         return self._predictor.lines(picture, longest=self._hybrid.longest).lineness
