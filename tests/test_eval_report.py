@@ -109,7 +109,7 @@ def test_a_set_of_our_own_is_read_with_its_lines(synthesised):
 
 
 def test_a_folder_without_a_set_is_misuse(tmp_path):
-    with pytest.raises(ValueError, match="expected a test set"):
+    with pytest.raises(ValueError, match="expected a folder with pictures"):
         open_suite(tmp_path)
 
 
