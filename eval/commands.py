@@ -12,7 +12,7 @@ from tqdm import tqdm
 
 from eval.cases import Suite
 from eval.folder import RunFolder, claim_folder, origin
-from eval.methods import METHODS, STEPS, TOGETHER, WIREFRAME, Method, parse_methods
+from eval.methods import EVERY, METHODS, TOGETHER, WIREFRAME, Method, parse_methods
 from eval.open_suite import open_suite
 
 _ALL = ",".join(method.tag for method in METHODS)
@@ -40,7 +40,9 @@ _ALL = ",".join(method.tag for method in METHODS)
     show_default=True,
     help="Which methods, separated by commas; also "
     + " and ".join(method.tag for method in TOGETHER)
-    + ", which take all pictures of a camera at once.",
+    + ", which take all pictures of a camera at once, and "
+    + " and ".join(method.tag for method in WIREFRAME)
+    + ", with weights of D-Wireframe alone.",
 )
 @click.option("--workers", default=1, show_default=True, type=click.IntRange(1), help="Processes.")
 @click.option(
@@ -116,8 +118,7 @@ def _run(
 
     answers = predict_suite(suite, methods, folder, **spread)
     show_progress(f"{suite.name}: estimate", answers)
-    known = (*METHODS, *WIREFRAME, *TOGETHER, *STEPS)
-    complete = [method for method in known if not pending(suite, {method: {}}, folder)]
+    complete = [method for method in EVERY if not pending(suite, {method: {}}, folder)]
     scores = score_suite(suite.cases, suite.theta_max, complete, folder, **spread)
     show_progress(f"{suite.name}: score", scores)
     uses_network = any(method.estimator in ("learned", "hybrid") for method in complete)

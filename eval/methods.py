@@ -65,13 +65,16 @@ STEPS = (
 """The hybrid built up step by step; the whole adds vanishing points. Asked for by name only."""
 
 WIREFRAME = (
-    Method("learned-wf", "LaRecNet, trained on SLF_wf alone", "#b0578f", weights="compact-wf"),
-    Method("hybrid-wf", "Straightlens with that network", "#8c3f00", weights="compact-wf"),
+    Method("learned-wf", "LaRecNet, weights of SLF_wf", "#b0578f", weights="compact-wf"),
+    Method("hybrid-wf", "Straightlens, weights of SLF_wf", "#8c3f00", weights="compact-wf"),
 )
 """With weights that know planes of photographs and the paper's lenses alone, as one row of the
 paper's table. Asked for by name only."""
 
-_BY_TAG = {method.tag: method for method in (*METHODS, *WIREFRAME, *TOGETHER, *STEPS)}
+EVERY = (*METHODS, *WIREFRAME, *TOGETHER, *STEPS)
+"""All of them, in the order of the tables."""
+
+_BY_TAG = {method.tag: method for method in EVERY}
 
 
 def method_of(tag: str) -> Method:

@@ -12,7 +12,7 @@ from numpy import ndarray
 
 from eval.folder import RunFolder
 from eval.lines import MatchCounts
-from eval.methods import IDENTITY, METHODS, TOGETHER, Method, method_of
+from eval.methods import EVERY, IDENTITY, METHODS, Method, method_of
 
 
 @dataclass(frozen=True)
@@ -206,7 +206,7 @@ def upper(values: Float[ndarray, " n"]) -> float:
 
 
 def _ordered(tags: Sequence[str] | dict[str, Any]) -> list[str]:
-    known = [method.tag for method in (*METHODS, *TOGETHER)]
+    known = [method.tag for method in EVERY]
     return [tag for tag in known if tag in tags] + sorted(set(tags) - set(known))
 
 

@@ -27,8 +27,16 @@ FENCE = re.compile(r"^```(\w*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 LANGUAGES = {"python", "sh", "text"}
 QUICK = {"rectify", "calibrate", "convert"}
 SIZE = (320, 240)
-FOLDERS = ("photos", "panoramas", "sets/panoramas", "sets/real", "runs/compared", "runs/larecnet")
-FILES = ("film.mp4", "train.pack", "val.pack", "runs/dlp/weights.safetensors")
+FOLDERS = (
+    "photos",
+    "panoramas",
+    "sets/panoramas",
+    "sets/real",
+    "sets/dwireframe",
+    "runs/compared",
+    "runs/larecnet",
+)
+FILES = ("film.mp4", "train.pack", "val.pack", "dlp.safetensors", "runs/dlp/weights.safetensors")
 
 
 @dataclass(frozen=True)

@@ -124,4 +124,5 @@ def test_weights_without_a_covariance_are_believed_as_far_as_lenses_differ(truth
 
 def test_threads_do_not_change_the_answer(found, room):
     alone = Rectifier(RectifyConfig(method="hybrid", threads=1)).rectify(room)
+    assert alone.camera is not None
     assert np.array_equal(alone.camera.to_vector(), found.camera.to_vector())
