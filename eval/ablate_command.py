@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import click
 
 from classical.files import atomic_path
+from eval.options import every_option, suites_option, workers_option
 
 if TYPE_CHECKING:
     from eval.ablation import Variant
@@ -24,14 +25,7 @@ _TITLES = {"parts": "Parts of the network and of its loss", "data": "Training se
     help="Training pictures, a pack made by `straightlens synthesize`. Without it nothing is "
     "trained, and the weights in --out are tested.",
 )
-@click.option(
-    "--suite",
-    "suites",
-    required=True,
-    multiple=True,
-    type=click.Path(exists=True, path_type=Path),
-    help="Test set: a folder with suite.json. May be given several times.",
-)
+@suites_option
 @click.option(
     "--out",
     required=True,
@@ -85,13 +79,9 @@ _TITLES = {"parts": "Parts of the network and of its loss", "data": "Training se
     show_default=True,
     help="Of first weights and samples; several, separated by commas, tell the spread.",
 )
-@click.option(
-    "--every", default=1, show_default=True, type=click.IntRange(1), help="Each n-th picture only."
-)
+@every_option
 @click.option("--threads", type=click.IntRange(1), help="Of the training; default: all.")
-@click.option(
-    "--workers", default=1, show_default=True, type=click.IntRange(1), help="Of the test."
-)
+@workers_option
 @click.option("--cpu", is_flag=True, help="Stay on the CPU.")
 def ablate(
     pack: Path | None,

@@ -14,20 +14,13 @@ from eval.cases import Suite
 from eval.folder import RunFolder, claim_folder, origin
 from eval.methods import EVERY, METHODS, TOGETHER, WIREFRAME, Method, parse_methods
 from eval.open_suite import open_suite
+from eval.options import every_option, suites_option, workers_option
 
 _ALL = ",".join(method.tag for method in METHODS)
 
 
 @click.command()
-@click.option(
-    "--suite",
-    "suites",
-    required=True,
-    multiple=True,
-    type=click.Path(exists=True, path_type=Path),
-    help="Test set: a folder with suite.json, photographs with one camera file, or the fisheye "
-    "video dataset. May be given several times.",
-)
+@suites_option
 @click.option(
     "--out",
     required=True,
@@ -44,7 +37,7 @@ _ALL = ",".join(method.tag for method in METHODS)
     + " and ".join(method.tag for method in WIREFRAME)
     + ", with weights of D-Wireframe alone.",
 )
-@click.option("--workers", default=1, show_default=True, type=click.IntRange(1), help="Processes.")
+@workers_option
 @click.option(
     "--ray",
     "cluster",
@@ -58,9 +51,7 @@ _ALL = ",".join(method.tag for method in METHODS)
     show_default=True,
     help="Leave out pictures whose do-nothing error is under so many px of a 320 px frame.",
 )
-@click.option(
-    "--every", default=1, show_default=True, type=click.IntRange(1), help="Each n-th picture only."
-)
+@every_option
 @click.option("--restart", is_flag=True, help="Throw away what earlier runs left in --out.")
 def evaluate(
     suites: tuple[Path, ...],

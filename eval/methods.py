@@ -2,8 +2,6 @@
 
 from dataclasses import dataclass
 
-_TOGETHER = "-together"
-
 
 @dataclass(frozen=True)
 class Method:
@@ -17,7 +15,8 @@ class Method:
             focal error says nothing and is not shown.
         together: Sees all pictures of a camera at once and gives one answer for all of them.
         variant: `RectifyConfig.variant`, None for the whole method.
-        weights: Name of other weights that ship, the end of the tag; None for the default.
+        weights: Name of other weights that ship, None for the default.
+        of: The estimator behind it, where that is not the tag.
     """
 
     tag: str
@@ -27,14 +26,12 @@ class Method:
     together: bool = False
     variant: str | None = None
     weights: str | None = None
+    of: str | None = None
 
     @property
     def estimator(self) -> str:
         """Name of the estimator behind it, `RectifyConfig.method`."""
-        tag = self.tag.removesuffix(_TOGETHER)
-        for suffix in (self.variant, self.weights and self.weights.rpartition("-")[2]):
-            tag = tag.removesuffix(f"-{suffix}")
-        return tag
+        return self.of or self.tag
 
 
 IDENTITY = Method("identity", "Left alone", "#7f7f7f", knows_focal=False)
@@ -51,22 +48,40 @@ METHODS = (
 """In the order of the tables."""
 
 TOGETHER = (
-    Method("classical-together", "Straightness fit, one for a camera", "#8a6fd1", together=True),
-    Method("hybrid-together", "Straightlens, one fit for a camera", "#c43c39", together=True),
+    Method(
+        "classical-together",
+        "Straightness fit, one for a camera",
+        "#8a6fd1",
+        together=True,
+        of="classical",
+    ),
+    Method(
+        "hybrid-together",
+        "Straightlens, one fit for a camera",
+        "#c43c39",
+        together=True,
+        of="hybrid",
+    ),
 )
 """Asked for by name only; they know more than the others: which pictures share a lens."""
 
-STEPS = (
-    Method("hybrid-start", "Centre lines, start of the network", "#9e9ac8", variant="start"),
-    Method("hybrid-prior", "… and its belief", "#807dba", variant="prior"),
-    Method("hybrid-snapped", "… and sub-pixel edges", "#6a51a3", variant="snapped"),
-    Method("hybrid-edges", "… and the picture's own edges", "#4a1486", variant="edges"),
+STEPS = tuple(
+    Method(f"hybrid-{variant}", full_name, color, variant=variant, of="hybrid")
+    for variant, full_name, color in (
+        ("start", "Centre lines, start of the network", "#9e9ac8"),
+        ("prior", "… and its belief", "#807dba"),
+        ("snapped", "… and sub-pixel edges", "#6a51a3"),
+        ("edges", "… and the picture's own edges", "#4a1486"),
+    )
 )
 """The hybrid built up step by step; the whole adds vanishing points. Asked for by name only."""
 
-WIREFRAME = (
-    Method("learned-wf", "LaRecNet, weights of SLF_wf", "#b0578f", weights="compact-wf"),
-    Method("hybrid-wf", "Straightlens, weights of SLF_wf", "#8c3f00", weights="compact-wf"),
+WIREFRAME = tuple(
+    Method(f"{of}-wf", full_name, color, weights="compact-wf", of=of)
+    for of, full_name, color in (
+        ("learned", "LaRecNet, weights of SLF_wf", "#b0578f"),
+        ("hybrid", "Straightlens, weights of SLF_wf", "#8c3f00"),
+    )
 )
 """With weights that know planes of photographs and the paper's lenses alone, as one row of the
 paper's table. Asked for by name only."""

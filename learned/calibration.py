@@ -8,7 +8,7 @@ their mean.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, get_args
 
 import torch
 from jaxtyping import Float
@@ -65,7 +65,7 @@ class CalibrationCfg:
     covariance: bool = False
 
     def __post_init__(self) -> None:
-        known = ("image", "heatmap", "lineness")
+        known = get_args(Source)
         if not self.inputs or set(self.inputs) - set(known):
             raise ValueError(f"expected inputs among {', '.join(known)}, got {self.inputs}")
 

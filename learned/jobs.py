@@ -194,7 +194,7 @@ def training_card(job: JobCfg, scores: dict[str, float]) -> dict[str, Any]:
     return {
         "target": job.target,
         "preset": job.preset.name,
-        "data": f"synthesised on the fly from {job.pack.name}",
+        "data": f"synthesised from {job.pack.name}",
         "scenes": str(job.data.scenes),
         "wild share": job.data.wild_share,
         "seed": job.seed,

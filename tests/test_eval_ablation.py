@@ -13,6 +13,7 @@ import pytest
 import torch
 from click.testing import CliRunner, Result
 from safetensors import safe_open
+from small_networks import SMALL, SMALL_DLP, write_small_pack
 
 from classical.camera import KannalaBrandt
 from eval import ablation
@@ -22,41 +23,18 @@ from eval.ablation_table import Row, swaps, to_markdown
 from eval.methods import method_of
 from eval.published import PublishedRow
 from eval.summary import MethodScores, SuiteScores
-from learned.dlp import DlpCfg, LinePerception
-from learned.hourglass import PyramidCfg
+from learned.dlp import LinePerception
 from learned.jobs import WEIGHTS
-from learned.larecnet import LaRecNet, LarecnetCfg
+from learned.larecnet import LaRecNet
 from learned.presets import COMPACT
-from learned.slf.atlas import save_atlas
-from learned.slf.pack import PHOTOGRAPH, Annotated, build_atlas
 from learned.slf.suite import SuiteCurve, SuiteFolder, SuiteItem
 from learned.weights import load_weights, save_weights
 
 CAMERA = KannalaBrandt(np.array([1.1, -0.05, 0.0, 0.0, 0.0]), 80.0, 80.0, 79.5, 79.5, 160, 160)
-DLP = DlpCfg(
-    width=8,
-    stacks=2,
-    depth=2,
-    stem="patch",
-    stem_modules=1,
-    head="shuffle",
-    target="lineness",
-    pyramid=PyramidCfg(scales=(0.5,)),
-)
 TINY = dataclasses.replace(
     COMPACT,
-    network=LarecnetCfg(
-        dlp=DLP,
-        calibration=dataclasses.replace(
-            COMPACT.network.calibration,
-            widths=(8, 8, 16, 16),
-            blocks=(1, 1, 1),
-            branch=8,
-            hidden=8,
-            covariance=False,
-        ),
-        uncertainty_width=2,
-        pixel_stride=4,
+    network=dataclasses.replace(
+        SMALL, calibration=dataclasses.replace(SMALL.calibration, covariance=False), pixel_stride=4
     ),
 )
 BUDGET = ["--steps", "2", "--batch", "4", "--size", "64", "--ahead", "8", "--threads", "1", "--cpu"]
@@ -71,22 +49,14 @@ def _small(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.fixture(scope="module")
 def pack(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    path = tmp_path_factory.mktemp("packs") / "tiny.pack"
-    rng = np.random.default_rng(0)
-    lines = np.array([[5, 10, 60, 12], [20, 50, 22, 8]], np.float32)
-    pictures = [
-        Annotated(rng.integers(0, 255, (64, 80, 3), dtype=np.uint8), lines, PHOTOGRAPH)
-        for _ in range(6)
-    ]
-    save_atlas(build_atlas(pictures), path)
-    return path
+    return write_small_pack(tmp_path_factory.mktemp("packs") / "tiny.pack")
 
 
 @pytest.fixture(scope="module")
 def init(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("lines") / "dlp.safetensors"
     torch.manual_seed(3)
-    save_weights(path, LinePerception(DLP), {})
+    save_weights(path, LinePerception(SMALL_DLP), {})
     return path
 
 

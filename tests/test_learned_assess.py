@@ -2,34 +2,18 @@ from dataclasses import replace
 
 import pytest
 import torch
+from small_networks import SMALL
 
 from learned.assess import assess, fit_temperature
-from learned.dlp import DlpCfg
-from learned.hourglass import PyramidCfg
-from learned.larecnet import LaRecNet, LarecnetCfg
-from learned.presets import COMPACT
+from learned.larecnet import LaRecNet
 from learned.rectification import rectify_images
 from learned.slf.batch import SlfBatch
-
-DLP = DlpCfg(
-    width=8,
-    stacks=2,
-    depth=2,
-    stem="patch",
-    stem_modules=1,
-    head="shuffle",
-    target="lineness",
-    pyramid=PyramidCfg(scales=(0.5,)),
-)
-CALIBRATION = replace(
-    COMPACT.network.calibration, widths=(8, 8, 16, 16), blocks=(1, 1, 1), branch=8, hidden=8
-)
 
 
 @pytest.fixture(scope="module")
 def network() -> LaRecNet:
     torch.manual_seed(0)
-    made = LaRecNet(LarecnetCfg(dlp=DLP, calibration=CALIBRATION, uncertainty_width=2, frame=32))
+    made = LaRecNet(replace(SMALL, frame=32))
     made.parameters_of_lens.whiten(_lenses(400))
     return made.eval()
 

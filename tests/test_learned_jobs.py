@@ -1,60 +1,26 @@
 import dataclasses
 from pathlib import Path
 
-import numpy as np
 import pytest
 import torch
 from click.testing import CliRunner
+from small_networks import SMALL, SMALL_RONG, write_small_pack
 
 from learned.commands import train as train_command
-from learned.dlp import DlpCfg, LinePerception
-from learned.hourglass import PyramidCfg
+from learned.dlp import LinePerception
 from learned.jobs import JobCfg, Target, run_job
-from learned.larecnet import LaRecNet, LarecnetCfg
+from learned.larecnet import LaRecNet
 from learned.presets import COMPACT, Preset
-from learned.rong import RongCfg, RongNet
-from learned.slf.atlas import save_atlas
-from learned.slf.pack import PHOTOGRAPH, Annotated, build_atlas
+from learned.rong import RongNet
 from learned.train import RunCfg
 from learned.weights import load_weights
 
-TINY: Preset = dataclasses.replace(
-    COMPACT,
-    network=LarecnetCfg(
-        dlp=DlpCfg(
-            width=8,
-            stacks=2,
-            depth=2,
-            stem="patch",
-            stem_modules=1,
-            head="shuffle",
-            target="lineness",
-            pyramid=PyramidCfg(scales=(0.5,)),
-        ),
-        calibration=dataclasses.replace(
-            COMPACT.network.calibration,
-            widths=(8, 8, 16, 16),
-            blocks=(1, 1, 1),
-            branch=8,
-            hidden=8,
-        ),
-        uncertainty_width=2,
-    ),
-    rong=RongCfg(widths=(8, 8, 8, 8), blocks=1, classes=11),
-)
+TINY: Preset = dataclasses.replace(COMPACT, network=SMALL, rong=SMALL_RONG)
 
 
 @pytest.fixture(scope="module")
 def pack(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    path = tmp_path_factory.mktemp("packs") / "tiny.pack"
-    rng = np.random.default_rng(0)
-    lines = np.array([[5, 10, 60, 12], [20, 50, 22, 8]], np.float32)
-    pictures = [
-        Annotated(rng.integers(0, 255, (64, 80, 3), dtype=np.uint8), lines, PHOTOGRAPH)
-        for _ in range(6)
-    ]
-    save_atlas(build_atlas(pictures), path)
-    return path
+    return write_small_pack(tmp_path_factory.mktemp("packs") / "tiny.pack")
 
 
 @pytest.fixture(autouse=True)

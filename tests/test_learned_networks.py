@@ -3,6 +3,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+from small_networks import SMALL, SMALL_DLP
 
 from learned.calibration import (
     Branch,
@@ -12,36 +13,12 @@ from learned.calibration import (
     regions,
 )
 from learned.config_json import from_json, to_json
-from learned.dlp import DlpCfg, LinePerception
-from learned.hourglass import PyramidCfg
+from learned.dlp import LinePerception
 from learned.larecnet import LaRecNet, LarecnetCfg
 from learned.parameters import N_FREE, Parameters
 from learned.presets import ABLATIONS, COMPACT, PAPER, PRESETS, Preset, ablation, preset
 from learned.rong import RongCfg, RongNet, division_parameter
 from learned.uncertainty import AttentiveUncertainty
-
-TINY_DLP = DlpCfg(
-    width=8,
-    stacks=2,
-    depth=2,
-    stem="patch",
-    stem_modules=1,
-    head="shuffle",
-    target="lineness",
-    pyramid=PyramidCfg(scales=(0.5,)),
-)
-TINY = LarecnetCfg(
-    dlp=TINY_DLP,
-    calibration=replace(
-        COMPACT.network.calibration,
-        widths=(8, 8, 16, 16),
-        blocks=(1, 1, 1),
-        branch=8,
-        hidden=8,
-    ),
-    uncertainty_width=2,
-    pixel_stride=2,
-)
 
 
 def _parameters(network: torch.nn.Module) -> float:
@@ -115,8 +92,8 @@ def test_regions_are_four_quarters_of_5x5_and_a_centre_of_6x6() -> None:
 
 @pytest.mark.parametrize("fusion", ["mean", "learned"])
 def test_fusion_starts_as_the_mean_of_global_and_five_local_estimates(fusion: str) -> None:
-    calibration = replace(TINY.calibration, fusion=fusion)
-    network = LaRecNet(replace(TINY, calibration=calibration)).eval()
+    calibration = replace(SMALL.calibration, fusion=fusion)
+    network = LaRecNet(replace(SMALL, calibration=calibration)).eval()
     for branch in (network.calibration.glob, network.calibration.local):
         assert branch is not None
         torch.nn.init.normal_(branch.last.weight)
@@ -130,8 +107,8 @@ def test_fusion_starts_as_the_mean_of_global_and_five_local_estimates(fusion: st
 @pytest.mark.parametrize("inputs", [("image",), ("heatmap", "lineness"), ("image", "heatmap")])
 @pytest.mark.parametrize("multiscale", [True, False])
 def test_ablations_differ_by_one_field(inputs: tuple[str, ...], multiscale: bool) -> None:
-    calibration = replace(TINY.calibration, inputs=inputs, multiscale=multiscale)
-    network = LaRecNet(replace(TINY, calibration=calibration)).eval()
+    calibration = replace(SMALL.calibration, inputs=inputs, multiscale=multiscale)
+    network = LaRecNet(replace(SMALL, calibration=calibration)).eval()
     out = network(torch.rand(1, 3, 64, 64))
     assert (out.heatmap is not None) == (inputs != ("image",))
     assert (out.estimate.local is not None) == multiscale
@@ -142,7 +119,7 @@ def test_only_branches_with_places_know_what_is_where() -> None:
     torch.manual_seed(0)
     map_ = torch.rand(1, 8, 6, 6)
     turned = map_.flip((2, 3))
-    cfg = replace(TINY.calibration, narrow=4)
+    cfg = replace(SMALL.calibration, narrow=4)
     for places, knows in ((0, False), (6, True)):
         branch = Branch(8, cfg, places, 3)
         torch.nn.init.normal_(branch.last.weight)
@@ -151,7 +128,7 @@ def test_only_branches_with_places_know_what_is_where() -> None:
 
 
 def test_lines_seen_before_are_not_looked_for_again() -> None:
-    network = LaRecNet(TINY).eval()
+    network = LaRecNet(SMALL).eval()
     image = torch.rand(2, 3, 64, 64)
     with torch.inference_mode():
         seen = network.dlp.maps(image)
@@ -169,7 +146,7 @@ def test_no_inputs_are_refused() -> None:
 
 
 def test_line_perception_stays_fixed_in_phase_two() -> None:
-    network = LaRecNet(TINY).train()
+    network = LaRecNet(SMALL).train()
     before = {n: t.clone() for n, t in network.dlp.state_dict().items()}
     out = network(torch.rand(2, 3, 64, 64))
     out.k.sum().backward()
@@ -184,7 +161,7 @@ def test_line_perception_stays_fixed_in_phase_two() -> None:
 def test_every_variant_of_line_perception_gives_a_map_in_zero_to_one(
     stem: str, head: str, target: str
 ) -> None:
-    cfg = replace(TINY_DLP, stem=stem, head=head, target=target, width=16)
+    cfg = replace(SMALL_DLP, stem=stem, head=head, target=target, width=16)
     network = LinePerception(cfg).eval()
     out = network(torch.rand(1, 3, 48, 64))
     for map_ in (network.heatmap(out.raw), network.lineness(out.raw)):

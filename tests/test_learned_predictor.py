@@ -1,19 +1,17 @@
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
 from numpy import ndarray
+from small_networks import SMALL
 
 from classical.camera import Division, KannalaBrandt
-from learned.dlp import DlpCfg, LinePerception
+from learned.dlp import LinePerception
 from learned.export import export_onnx
-from learned.hourglass import PyramidCfg
-from learned.larecnet import LaRecNet, LarecnetCfg
+from learned.larecnet import LaRecNet
 from learned.letterbox import Letterbox, as_tensor
 from learned.predictor import Predictor, RongPredictor
-from learned.presets import COMPACT
 from learned.rong import RongCfg, RongNet
 from learned.weights import load_weights, save_weights
 
@@ -24,20 +22,7 @@ VECTOR = np.array([1.2, -0.06, 0.01, 0.0, 0.0, 1.0, 1.01, 0.03, -0.05])
 @pytest.fixture(scope="module")
 def network() -> LaRecNet:
     torch.manual_seed(0)
-    dlp = DlpCfg(
-        width=8,
-        stacks=2,
-        depth=2,
-        stem="patch",
-        stem_modules=1,
-        head="shuffle",
-        target="lineness",
-        pyramid=PyramidCfg(scales=(0.5,)),
-    )
-    calibration = replace(
-        COMPACT.network.calibration, widths=(8, 8, 16, 16), blocks=(1, 1, 1), branch=8, hidden=8
-    )
-    return LaRecNet(LarecnetCfg(dlp=dlp, calibration=calibration, uncertainty_width=2)).eval()
+    return LaRecNet(SMALL).eval()
 
 
 def _picture(height: int, width: int) -> ndarray:

@@ -6,48 +6,27 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from small_networks import SMALL_DLP, write_small_pack
 
-from learned.dlp import DlpCfg, LinePerception
-from learned.hourglass import PyramidCfg
+from learned.dlp import LinePerception
 from learned.rectification import rectify_images
 from learned.samples import Epochs, SamplesCfg, SampleSet, make_samples
-from learned.slf.atlas import load_atlas, save_atlas
-from learned.slf.pack import Annotated, build_atlas
+from learned.slf.atlas import load_atlas
 from learned.slf.stream import SlfStream
 from learned.weights import load_perception, save_weights
-
-DLP = DlpCfg(
-    width=8,
-    stacks=1,
-    depth=2,
-    stem="patch",
-    stem_modules=1,
-    head="shuffle",
-    target="lineness",
-    pyramid=PyramidCfg(scales=(0.5,)),
-)
 
 
 @pytest.fixture(scope="module")
 def cfg(tmp_path_factory: pytest.TempPathFactory) -> SamplesCfg:
     """Two photographs with lines, an untrained line perception, sixteen small samples."""
     folder = tmp_path_factory.mktemp("pack")
-    rng = np.random.default_rng(3)
-    pictures = [
-        Annotated(
-            rng.integers(0, 255, (80, 90, 3), np.uint8),
-            rng.uniform(5, 70, (6, 4)).astype(np.float32),
-        )
-        for _ in range(2)
-    ]
-    save_atlas(build_atlas(pictures), folder / "small.pack")
     torch.manual_seed(0)
-    save_weights(folder / "dlp.safetensors", LinePerception(DLP), {})
+    save_weights(folder / "dlp.safetensors", LinePerception(SMALL_DLP), {})
     return SamplesCfg(
         count=16,
         size=32,
         seed=5,
-        pack=folder / "small.pack",
+        pack=write_small_pack(folder / "small.pack", 2),
         perception=folder / "dlp.safetensors",
     )
 

@@ -4,10 +4,10 @@ from pathlib import Path
 
 import pytest
 import torch
+from small_networks import SMALL, SMALL_DLP, SMALL_RONG
 
-from learned.dlp import DlpCfg, LinePerception
-from learned.hourglass import PyramidCfg
-from learned.larecnet import LaRecNet, LarecnetCfg
+from learned.dlp import LinePerception
+from learned.larecnet import LaRecNet
 from learned.mirror import mirrored
 from learned.phases import (
     DivisionPhase,
@@ -18,30 +18,12 @@ from learned.phases import (
 )
 from learned.presets import COMPACT
 from learned.rectification import pixel_grid, rectify_images, undistort
-from learned.rong import RongCfg, RongNet
+from learned.rong import RongNet
 from learned.schedule import Average, OptimCfg, build_optimizer, rate_at
 from learned.slf.batch import SlfBatch
 from learned.train import CHECKPOINT, RunCfg, train
 
 SIZE = 32
-DLP = DlpCfg(
-    width=8,
-    stacks=2,
-    depth=2,
-    stem="patch",
-    stem_modules=1,
-    head="shuffle",
-    target="lineness",
-    pyramid=PyramidCfg(scales=(0.5,)),
-)
-LARECNET = LarecnetCfg(
-    dlp=DLP,
-    calibration=replace(
-        COMPACT.network.calibration, widths=(8, 8, 16, 16), blocks=(1, 1, 1), branch=8, hidden=8
-    ),
-    uncertainty_width=2,
-    pixel_stride=2,
-)
 OPTIM = OptimCfg(kind="adamw", rate=3e-3, schedule="trapezoid", warmup=2)
 
 
@@ -73,8 +55,8 @@ def _train(folder: Path, steps: int, total: int, *, resume: bool = False) -> Ave
 
         source = stop_early
     return train(
-        LinePerception(DLP),
-        PerceptionPhase(DLP),
+        LinePerception(SMALL_DLP),
+        PerceptionPhase(SMALL_DLP),
         source,
         [],
         cfg,
@@ -104,8 +86,8 @@ def test_resumed_training_equals_an_uninterrupted_one(tmp_path: Path) -> None:
 def test_reports_leave_a_picture_and_a_line_of_figures(tmp_path: Path) -> None:
     cfg = RunCfg(1, OPTIM, workers=0, report_every=1)
     train(
-        LinePerception(DLP),
-        PerceptionPhase(DLP),
+        LinePerception(SMALL_DLP),
+        PerceptionPhase(SMALL_DLP),
         grids,
         [grids(99)],
         cfg,
@@ -135,20 +117,20 @@ def _fit(
 @pytest.mark.slow
 def test_line_perception_overfits_eight_pictures() -> None:
     torch.manual_seed(0)
-    network = LinePerception(DLP)
-    _fit(network, PerceptionPhase(DLP), 120, 1e-2)
-    scalars, _ = PerceptionPhase(DLP).report(network, [grids(0, batch=8)])
+    network = LinePerception(SMALL_DLP)
+    _fit(network, PerceptionPhase(SMALL_DLP), 120, 1e-2)
+    scalars, _ = PerceptionPhase(SMALL_DLP).report(network, [grids(0, batch=8)])
     assert scalars["f"] > 0.97
 
 
 @pytest.mark.slow
 def test_larecnet_overfits_eight_pictures() -> None:
     torch.manual_seed(0)
-    network = LaRecNet(LARECNET)
+    network = LaRecNet(SMALL)
     network.parameters_of_lens.whiten(
         torch.cat([grids(i).k for i in range(50)]) + 0.01 * torch.randn(100, 9)
     )
-    phase = RectificationPhase(replace(COMPACT, network=LARECNET))
+    phase = RectificationPhase(replace(COMPACT, network=SMALL))
     errors = _fit(network, phase, 120, 5e-3)
     assert min(errors[-20:]) < 0.3 * errors[0]
 
@@ -157,9 +139,9 @@ def test_every_phase_gives_gradients_to_all_that_is_trained() -> None:
     torch.manual_seed(0)
     batch = grids(1)
     phases = [
-        (LinePerception(DLP), PerceptionPhase(DLP)),
-        (LaRecNet(LARECNET), RectificationPhase(replace(COMPACT, network=LARECNET))),
-        (RongNet(RongCfg(widths=(8, 8, 8, 8), blocks=1, classes=11)), DivisionPhase()),
+        (LinePerception(SMALL_DLP), PerceptionPhase(SMALL_DLP)),
+        (LaRecNet(SMALL), RectificationPhase(replace(COMPACT, network=SMALL))),
+        (RongNet(SMALL_RONG), DivisionPhase()),
     ]
     for module, phase in phases:
         loss, _ = phase.loss(module.train(), batch)
