@@ -19,7 +19,7 @@ class AlemanFloresConfig:
             centre.
         smallest_side: Pictures whose longer side is shorter are enlarged to this first.
         largest_side: Pictures whose longer side is longer are reduced to this first.
-        sigma: Standard deviation of the Gaussian before the gradient, px.
+        sigma: Standard deviation of the smoothing before the gradient, px.
         low_percentile: Low hysteresis threshold as a percentile of the gradient norm.
         high_percentile: High hysteresis threshold as a percentile of the gradient norm.
         low_floor: Least value of the low threshold, grey levels a pixel.
@@ -29,6 +29,11 @@ class AlemanFloresConfig:
         angle_step_deg: Step of the angle in the Hough space, degrees.
         angle_max_deg: Largest difference of a point's tangent to its line, degrees. The 2014
             demonstration used 2°, the 2016 article 10°.
+        distance_range: Lines up to this many half diagonals from the centre are searched, in the
+            undistorted plane.
+        coarse_angles: All values of p are first searched at every so many-th angle; 1 for none.
+        coarse_margin: A slice whose coarse score is lower than the best by more than this share is
+            not searched in full.
         maxima: Maxima picked in each slice of the Hough space.
         clear_angle_deg: Neighbourhood cleared around a maximum (2014), degrees.
         clear_distance: Neighbourhood cleared around a maximum (2014), px.
@@ -66,6 +71,9 @@ class AlemanFloresConfig:
     p_step: float = 0.1
     angle_step_deg: float = 0.1
     angle_max_deg: float = 10.0
+    distance_range: float = 1.2
+    coarse_angles: int = 5
+    coarse_margin: float = 0.04
     maxima: int = 30
     clear_angle_deg: float = 2.0
     clear_distance: int = 20
@@ -96,6 +104,8 @@ class AlemanFloresConfig:
             "p_step": self.p_step,
             "angle_step_deg": self.angle_step_deg,
             "angle_max_deg": self.angle_max_deg,
+            "distance_range": self.distance_range,
+            "coarse_angles": self.coarse_angles,
             "maxima": self.maxima,
             "line_distance": self.line_distance,
             "workers": self.workers,

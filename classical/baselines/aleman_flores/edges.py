@@ -14,6 +14,10 @@ CENTRE_WEIGHT = (np.sqrt(2.0) - 1.0) / 2.0
 CORNER_WEIGHT = (2.0 - np.sqrt(2.0)) / 4.0
 """Weights of the 3x3 gradient mask: they sum to 1/2 a side and make it nearly isotropic."""
 
+SMOOTHING_PASSES = 4
+KERNEL_TAIL = 1e-4
+"""Passes of the smoothing, and where its kernel ends, relative to its middle."""
+
 _NEIGHBOUR = np.array([[1, 0], [1, 1], [0, 1], [-1, 1]])
 """Step (du, dv) across the edge for gradients near 0°, 45°, 90° and 135°."""
 
@@ -39,7 +43,7 @@ class EdgePoints:
 
 
 def detect_edges(grey: Float[np.ndarray, "h w"], *, config: AlemanFloresConfig) -> EdgePoints:
-    """Find edge points: Gaussian, gradient, non-maximum suppression, hysteresis.
+    """Find edge points: smoothing, gradient, non-maximum suppression, hysteresis.
 
     The thresholds are percentiles of the gradient norm over all pixels with a floor; the border of
     1 px is dropped; positions stay whole pixels, as in the authors' description.
@@ -58,13 +62,34 @@ def detect_edges(grey: Float[np.ndarray, "h w"], *, config: AlemanFloresConfig) 
 
 
 def _gradient(grey: np.ndarray, sigma: float) -> tuple[np.ndarray, np.ndarray]:
-    smooth = cv2.GaussianBlur(grey.astype(np.float32), (0, 0), sigma)
+    kernel = smoothing_kernel(sigma)
+    smooth = cv2.sepFilter2D(
+        grey.astype(np.float32), cv2.CV_32F, kernel, kernel, borderType=cv2.BORDER_REPLICATE
+    )
     column = np.array([CORNER_WEIGHT, CENTRE_WEIGHT, CORNER_WEIGHT])
     difference = np.array([-1.0, 0.0, 1.0])
     return (
         cv2.sepFilter2D(smooth, cv2.CV_32F, difference, column, borderType=cv2.BORDER_REPLICATE),
         cv2.sepFilter2D(smooth, cv2.CV_32F, column, difference, borderType=cv2.BORDER_REPLICATE),
     )
+
+
+def smoothing_kernel(sigma: float) -> Float[np.ndarray, " n"]:
+    """The Gaussian of Alvarez & Mazorra (SIAM J. Numer. Anal. 1994): four exponential passes.
+
+    One pass solves a step of the heat equation and answers an impulse with ν^|n|, where λ = σ² / 8
+    and ν = (1 + 2 λ − sqrt(1 + 4 λ)) / (2 λ); the variance of all passes is σ². The peak is sharper
+    than a sampled Gaussian's, and edges that lie close to each other are pushed apart less.
+    """
+    rate = sigma**2 / (2 * SMOOTHING_PASSES)
+    decay = (1 + 2 * rate - np.sqrt(1 + 4 * rate)) / (2 * rate)
+    reach = int(np.ceil(np.log(KERNEL_TAIL) / np.log(decay)))
+    single = decay ** np.abs(np.arange(-reach, reach + 1))
+    kernel = np.ones(1)
+    for _ in range(SMOOTHING_PASSES):
+        kernel = np.convolve(kernel, single)
+    kernel = kernel[kernel > KERNEL_TAIL * kernel.max()]
+    return kernel / kernel.sum()
 
 
 def _thin(

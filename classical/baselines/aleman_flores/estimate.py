@@ -168,6 +168,7 @@ def _first_round(blank: AlemanFloresResult, config: AlemanFloresConfig) -> Alema
 def _outer_loop(found: AlemanFloresResult, config: AlemanFloresConfig) -> AlemanFloresResult:
     """Seek lines again on corrected points while their number of points grows (2016)."""
     height, width = found.working.grey.shape
+    radius = float(np.hypot(width, height)) / 2
     best, failures, rounds = found, 0, 0
     current = found.refined
     while current is not None and failures < config.outer_failures and rounds < config.outer_rounds:
@@ -175,7 +176,7 @@ def _outer_loop(found: AlemanFloresResult, config: AlemanFloresConfig) -> Aleman
         k1, k2 = _coefficients(current, (width, height))
         about = found.edges.points - np.array(current.centre)
         flat, turned = undistort_edges(about, found.edges.normals, k1, k2)
-        maxima = hough_search(flat, turned, 1.0, np.zeros(1), config=config)
+        maxima = hough_search(flat, turned, radius, np.zeros(1), config=config)
         lines = lines_from_maxima(flat, turned, maxima, config=config)
         if not len(lines):
             break

@@ -2,14 +2,16 @@
 
 Exactly the voting of the articles, arranged for speed: a point votes once for each angle, in whole
 numbers, and the five distance bins of weight 1 / (1 + |n|), n = −2 … 2, are summed afterwards where
-a maximum is possible. Only one slice a worker is in memory at a time.
+a maximum is possible. Only one slice a worker is in memory at a time. A first look at every fifth
+angle tells which slices can be the best; on 26 drawn, photographed and bent pictures, with three
+configurations each, the best one was at most 3.7 % under the first there.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float
@@ -24,6 +26,9 @@ _WEIGHTS_SUM = 16  # of the five bins of a vote, in units of the score
 _FIRST_BAND, _BAND = 0.8, 0.6  # where bands of candidates end, relative to the last pick and band
 _MARGIN = 6  # empty distance bins at each side of a slice
 
+Picked = tuple[np.ndarray, np.ndarray, np.ndarray]
+"""Angles, distances and scores of the maxima of a slice."""
+
 
 @dataclass(frozen=True)
 class HoughMaxima:
@@ -36,7 +41,7 @@ class HoughMaxima:
         angles: Angle of the normal, radians in [0, π), shape (m,).
         distances: Distance to the centre with its sign, px, shape (m,).
         scores: Votes, shape (m,).
-        slice_p: All values of p searched, shape (s,).
+        slice_p: Values of p searched at every angle, shape (s,).
         slice_scores: Sum of the picked maxima in each slice, shape (s,).
     """
 
@@ -58,35 +63,57 @@ def hough_search(
 ) -> HoughMaxima:
     """Find the slice whose picked maxima have the largest sum; the first one on ties.
 
+    Lines farther from the centre than `distance_range` times the radius are not looked for.
+
     Args:
         points: Edge points relative to the centre of distortion, px.
         normals: Unit normals of the edges at the points.
-        radius: Radius R at which p is defined: k = −p / (R² (1 + p)).
+        radius: Half the diagonal R, at which p is defined: k = −p / (R² (1 + p)).
         p_values: Slices to search.
         config: Parameters of the method.
     """
     if not len(p_values):
         raise ValueError("Expected at least one value of p, got none.")
 
-    def search(worker: int) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
-        accumulator = _Accumulator(config)
-        return [
-            accumulator.maxima(*undistort_edges(points, normals, -p / (radius**2 * (1 + p))))
-            for p in p_values[worker::workers]
-        ]
-
-    workers = min(config.workers, len(p_values))
-    if workers == 1:
-        shares = [search(0)]
-    else:
-        with ThreadPoolExecutor(workers) as pool:
-            shares = list(pool.map(search, range(workers)))
-    slices = [shares[i % workers][i // workers] for i in range(len(p_values))]
+    coarse = config.coarse_angles
+    if len(p_values) > 1 and coarse > 1 and config.n_angles % coarse == 0:
+        look = replace(config, angle_step_deg=config.angle_step_deg * coarse)
+        slices = _search(points, normals, radius, p_values, look)
+        scores = np.array([picked[2].sum() for picked in slices])
+        p_values = p_values[scores >= (1.0 - config.coarse_margin) * scores.max()]
+    slices = _search(points, normals, radius, p_values, config)
     scores = np.array([picked[2].sum() for picked in slices])
     best = int(np.argmax(scores))  # the first one on ties
     return HoughMaxima(
         float(p_values[best]), *slices[best], np.asarray(p_values, np.float64), scores
     )
+
+
+def _search(
+    points: np.ndarray,
+    normals: np.ndarray,
+    radius: float,
+    p_values: np.ndarray,
+    config: AlemanFloresConfig,
+) -> list[Picked]:
+    """The picked maxima of each slice, slices shared out among the workers."""
+    farthest = config.distance_range * radius
+
+    def search(worker: int) -> list[Picked]:
+        accumulator = _Accumulator(config)
+        return [
+            accumulator.maxima(
+                *undistort_edges(points, normals, -p / (radius**2 * (1 + p))), farthest
+            )
+            for p in p_values[worker::workers]
+        ]
+
+    workers = min(config.workers, len(p_values))
+    if workers == 1:
+        return search(0)
+    with ThreadPoolExecutor(workers) as pool:
+        shares = list(pool.map(search, range(workers)))
+    return [shares[i % workers][i // workers] for i in range(len(p_values))]
 
 
 def undistort_edges(
@@ -121,12 +148,10 @@ class _Accumulator:
         self.used = np.zeros(0, bool)
         self.last_pick = 0  # where the search for candidates of the next slice begins
 
-    def maxima(
-        self, points: np.ndarray, normals: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Angles, distances and scores of the picked maxima of the slice of these points."""
-        farthest = np.sqrt((points**2).sum(axis=1).max(initial=0.0))
-        centre = int(farthest) + 1 + _MARGIN
+    def maxima(self, points: np.ndarray, normals: np.ndarray, farthest: float) -> Picked:
+        """The picked maxima of the slice of these points, none beyond the farthest distance."""
+        reached = np.sqrt((points**2).sum(axis=1).max(initial=0.0))
+        centre = int(min(reached, farthest)) + 1 + _MARGIN
         picked = self._pick(self._fold(self._vote(points, normals, centre)))
         rows, columns, values = np.array(picked, np.int64).reshape(-1, 3).T
         self.last_pick = int(values[-1]) if len(values) else 0
@@ -148,20 +173,39 @@ class _Accumulator:
         across = points[:, 0] * cosine + points[:, 1] * sine
         along = points[:, 1] * cosine - points[:, 0] * sine
         # Flat bin (row + j) * columns + centre + round(across cos jδ + along sin jδ) as a product.
-        left = np.stack([across, along, row * n_columns + centre + 0.5, np.ones(len(row))], axis=1)
+        base = row * n_columns + centre + 0.5
+        left = np.stack([across, along, base, np.ones(len(row))], axis=1)
         turn = np.arange(2 * reach + 1)
         delta = (turn - reach) * self.step
         right = np.stack([np.cos(delta), np.sin(delta), np.ones(len(turn)), turn * n_columns])
-        block = max(_BLOCK_BINS // len(turn), 1)
-        product, bins = np.empty((block, len(turn))), np.empty((block, len(turn)), np.intp)
+        end = centre - _MARGIN + 1.0  # votes from here on are gathered here, then dropped
+        within = across**2 + along**2 < end**2
+        self._count(votes, left[within], right, None)
+        self._count(votes, left[~within], right, end)
+        table = votes.reshape(n_rows, n_columns)
+        table[:, [_MARGIN - 1, -_MARGIN]] = 0
+        return table
+
+    def _count(
+        self, votes: np.ndarray, left: np.ndarray, right: np.ndarray, end: float | None
+    ) -> None:
+        """Count the flat bins of a product; with `end` the distances in it stop there."""
+        n_turns = right.shape[1]
+        block = max(_BLOCK_BINS // n_turns, 1)
+        product, bins = np.empty((block, n_turns)), np.empty((block, n_turns), np.intp)
         one = np.uint16(1)
         for start in range(0, len(left), block):
             part = left[start : start + block]
-            n = len(part)
-            np.matmul(part, right, out=product[:n])
-            np.copyto(bins[:n], product[:n], casting="unsafe")  # positive: this rounds down
-            np.add.at(votes, bins[:n].ravel(), one)
-        return votes.reshape(n_rows, n_columns)
+            flat, index = product[: len(part)], bins[: len(part)]
+            if end is None:
+                np.matmul(part, right, out=flat)
+            else:
+                np.matmul(part[:, :2], right[:2], out=flat)
+                np.clip(flat, -end, end, out=flat)
+                flat += part[:, 2:3]
+                flat += right[3]
+            np.copyto(index, flat, casting="unsafe")  # positive: this rounds down
+            np.add.at(votes, index.ravel(), one)
 
     def _fold(self, votes: np.ndarray) -> np.ndarray:
         """Add rows outside [0°, 180°) where they belong: 180° further on and mirrored."""
