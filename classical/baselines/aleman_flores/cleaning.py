@@ -27,7 +27,7 @@ def clean_edges(edges: EdgePoints, width: int, height: int) -> EdgePoints:
     neighbours, cosine = _company(edges, width, height)
     edges = edges.subset((neighbours >= LEAST_NEIGHBOURS) & (cosine >= LEAST_COSINE))
     for _ in range(PASSES):
-        neighbours, _ = _company(edges, width, height)
+        neighbours = _neighbours(edges.points, width, height)
         if (neighbours > 0).all():
             break
         edges = edges.subset(neighbours > 0)
@@ -35,21 +35,33 @@ def clean_edges(edges: EdgePoints, width: int, height: int) -> EdgePoints:
     return edges.subset(_steadiest(edges.points, cosine, width))
 
 
+def _neighbours(points: np.ndarray, width: int, height: int) -> np.ndarray:
+    """Number of neighbours in the square about each point."""
+    columns, rows = points.T.astype(np.intp)
+    layer = np.zeros((height, width), np.uint8)
+    layer[rows, columns] = 1
+    return _square_sums(layer)[rows, columns].astype(np.intp) - 1
+
+
 def _company(
     edges: EdgePoints, width: int, height: int
-) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
+) -> tuple[np.ndarray, Float[np.ndarray, " n"]]:
     """Number of neighbours in the square about each point, and their mean cosine with it."""
     columns, rows = edges.points.T.astype(np.intp)
-    side = 2 * RADIUS + 1
-    layers = np.zeros((height, width, 3), np.float32)
-    layers[rows, columns, 0] = 1.0
-    layers[rows, columns, 1:] = edges.normals
-    sums = cv2.boxFilter(layers, -1, (side, side), normalize=False, borderType=cv2.BORDER_CONSTANT)[
-        rows, columns
-    ]
-    neighbours = np.rint(sums[:, 0]) - 1.0
-    cosine = (sums[:, 1:] * edges.normals).sum(axis=1) - 1.0
+    neighbours = _neighbours(edges.points, width, height)
+    cosine = np.full(len(edges), -1.0)
+    for part in edges.normals.T:
+        layer = np.zeros((height, width), np.float32)
+        layer[rows, columns] = part
+        cosine += _square_sums(layer)[rows, columns] * part
     return neighbours, cosine / np.maximum(neighbours, 1.0)
+
+
+def _square_sums(layer: np.ndarray) -> np.ndarray:
+    side = 2 * RADIUS + 1
+    return np.asarray(
+        cv2.boxFilter(layer, -1, (side, side), normalize=False, borderType=cv2.BORDER_CONSTANT)
+    )
 
 
 def _steadiest(points: np.ndarray, cosine: np.ndarray, width: int) -> np.ndarray:

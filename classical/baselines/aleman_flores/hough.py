@@ -22,7 +22,6 @@ SCORE_UNIT = 6
 """Slices hold six times the score, so that 1, 1/2 and 1/3 are whole numbers."""
 
 _BLOCK_BINS = 1 << 16  # bins worked on together, so that they stay in the cache
-_WEIGHTS_SUM = 16  # of the five bins of a vote, in units of the score
 _FIRST_BAND, _BAND = 0.8, 0.6  # where bands of candidates end, relative to the last pick and band
 _MARGIN = 6  # empty distance bins at each side of a slice
 
@@ -127,14 +126,15 @@ def undistort_edges(
     The tangent t becomes J t with J = s I − s² (2 k1 + 4 k2 r²) x xᵀ, s the factor of the point;
     the normal stays at right angles to it, on the same side.
     """
-    squared = (points**2).sum(axis=1)
+    x, y = np.ascontiguousarray(points.T)
+    normal_x, normal_y = np.ascontiguousarray(normals.T)
+    squared = x * x + y * y
     scale = 1.0 / (1.0 + squared * (k1 + k2 * squared))
-    tangents = np.stack([-normals[:, 1], normals[:, 0]], axis=1)
-    along = (points * tangents).sum(axis=1)
-    radial = scale * (2.0 * k1 + 4.0 * k2 * squared) * along  # J t / s = t − radial x
-    moved = tangents - points * radial[:, None]
-    moved /= np.maximum(np.linalg.norm(moved, axis=1, keepdims=True), 1e-12)
-    return points * scale[:, None], np.stack([moved[:, 1], -moved[:, 0]], axis=1)
+    radial = scale * (2.0 * k1 + 4.0 * k2 * squared) * (y * normal_x - x * normal_y)
+    tangent_x, tangent_y = -normal_y - x * radial, normal_x - y * radial  # J t / s
+    length = np.maximum(np.sqrt(tangent_x**2 + tangent_y**2), 1e-12)
+    moved = np.stack([x * scale, y * scale])
+    return moved.T, np.stack([tangent_y / length, -tangent_x / length]).T
 
 
 class _Accumulator:
@@ -144,7 +144,9 @@ class _Accumulator:
         self.config = config
         self.step = np.deg2rad(config.angle_step_deg)
         self.footprint = _footprint(config)
+        self.angles = np.arange(config.n_angles) * self.step
         self.votes = np.zeros(0, np.uint16)
+        self.scores = np.zeros(0, np.uint16)
         self.used = np.zeros(0, bool)
         self.last_pick = 0  # where the search for candidates of the next slice begins
 
@@ -165,13 +167,14 @@ class _Accumulator:
             self.votes = np.zeros(n_rows * n_columns, np.uint16)
         votes = self.votes[: n_rows * n_columns]
         votes.fill(0)
-        row = np.rint(np.arctan2(normals[:, 1], normals[:, 0]) / self.step).astype(np.intp)
-        row %= config.n_angles
-        order = np.argsort(row, kind="stable")  # neighbours in memory, one after another
-        row, points = row[order], points[order]
-        cosine, sine = np.cos(row * self.step), np.sin(row * self.step)
-        across = points[:, 0] * cosine + points[:, 1] * sine
-        along = points[:, 1] * cosine - points[:, 0] * sine
+        angle = np.arctan2(normals[:, 1], normals[:, 0])
+        row = np.rint(angle / self.step).astype(np.intp) % config.n_angles
+        order = np.argsort(
+            row.astype(np.uint16), kind="stable"
+        )  # near in memory, one after another
+        row, x, y = row[order], points[:, 0][order], points[:, 1][order]
+        cosine, sine = np.cos(self.angles)[row], np.sin(self.angles)[row]
+        across, along = x * cosine + y * sine, y * cosine - x * sine
         # Flat bin (row + j) * columns + centre + round(across cos jδ + along sin jδ) as a product.
         base = row * n_columns + centre + 0.5
         left = np.stack([across, along, base, np.ones(len(row))], axis=1)
@@ -217,6 +220,10 @@ class _Accumulator:
 
     def _pick(self, votes: np.ndarray) -> list[tuple[int, int, int]]:
         """Row, column and score of the largest local maxima, each clearing its neighbourhood."""
+        if self.scores.size < votes.size:
+            self.scores = np.zeros(votes.size, np.uint16)
+        scores = self.scores[: votes.size].reshape(votes.shape)
+        _score(votes.reshape(-1), scores.reshape(-1))
         half_rows, half_columns = self.footprint.shape[0] // 2, self.footprint.shape[1] // 2
         shape = (len(votes) + 2 * half_rows, votes.shape[1] + 2 * half_columns)
         if self.used.size < shape[0] * shape[1]:
@@ -224,59 +231,39 @@ class _Accumulator:
         used = self.used[: shape[0] * shape[1]].reshape(shape)
         used.fill(False)
         picked: list[tuple[int, int, int]] = []
-        for row, column, value in _candidates(votes, int(_FIRST_BAND * self.last_pick)):
+        for row, column, value in _candidates(scores, int(_FIRST_BAND * self.last_pick)):
             if used[row + half_rows, column + half_columns]:
                 continue
             picked.append((row, column, value))
             if len(picked) == self.config.maxima:
                 break
-            for target, mark in self._cleared(used, row, column, votes.shape):
-                target |= mark
+            self._clear(used, row, column, votes.shape)
         return picked
 
-    def _cleared(
-        self, used: np.ndarray, row: int, column: int, shape: tuple[int, ...]
-    ) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-        """Where the footprint of a pick falls: at it, and mirrored across 0° = 180°."""
+    def _clear(self, used: np.ndarray, row: int, column: int, shape: tuple[int, ...]) -> None:
+        """Mark the footprint of a pick: at it, and mirrored across 0° = 180°."""
         height, width = self.footprint.shape
+        used[row : row + height, column : column + width] |= self.footprint
         mirrored = shape[1] - 1 - column
-        for top, left in (row, column), (row - shape[0], mirrored), (row + shape[0], mirrored):
-            if -height < top < len(used):
-                first = max(-top, 0)
-                target = used[max(top, 0) : top + height, left : left + width]
-                yield target, self.footprint[first : first + len(target)]
+        if row < height:
+            used[row + shape[0] :, mirrored : mirrored + width] |= self.footprint[
+                : len(used) - row - shape[0]
+            ]
+        if row > shape[0] - height:
+            first = shape[0] - row
+            used[: height - first, mirrored : mirrored + width] |= self.footprint[first:]
 
 
-def _candidates(votes: np.ndarray, guess: int) -> Iterator[tuple[int, int, int]]:
-    """Row, column and score of local 3x3 maxima of a slice, largest first.
+def _score(votes: np.ndarray, scores: np.ndarray) -> None:
+    """Write six times the sum of votes weighted 1 / (1 + |n|) over distances n = −2 … 2.
 
-    They are found in bands of falling score; `guess` is where the first band may end, which changes
-    the work and never the order.
+    Both arrays are flat; the empty margin of each row of the slice keeps its rows apart.
     """
-    flat = votes.reshape(-1)
-    upper = _WEIGHTS_SUM * int(flat.max(initial=0)) + 1
-    lower = guess if 0 < guess < upper else upper // 4
-    while upper > 1:
-        lower = max(lower, 1)
-        bins, values = _bins_scoring(flat, lower)
-        bins, values = bins[values < upper], values[values < upper]
-        bins, values = _local_maxima(votes, bins, values)
-        order = np.argsort(-values, kind="stable")
-        rows, columns = np.divmod(bins[order], votes.shape[1])
-        yield from zip(rows.tolist(), columns.tolist(), values[order].tolist(), strict=True)
-        upper, lower = lower, int(_BAND * lower)
-
-
-def _bins_scoring(votes: np.ndarray, least: int) -> tuple[np.ndarray, np.ndarray]:
-    """Flat bins that score at least so much, and their scores.
-
-    The empty margin of each row of the slice keeps its rows apart.
-    """
-    score, sides = np.empty(_BLOCK_BINS, np.uint16), np.empty(_BLOCK_BINS, np.uint16)
-    found, scores = [], []
+    scores[:2] = scores[-2:] = 0
+    sides = np.empty(_BLOCK_BINS, np.uint16)
     for start in range(2, votes.size - 2, _BLOCK_BINS):
         stop = min(start + _BLOCK_BINS, votes.size - 2)
-        value, side = score[: stop - start], sides[: stop - start]
+        value, side = scores[start:stop], sides[: stop - start]
         # 6 c + 3 (l + r) + 2 (ll + rr) = 2 (3 c + (l + r) + (ll + rr)) + (l + r)
         np.add(votes[start - 1 : stop - 1], votes[start + 1 : stop + 1], out=side)
         np.multiply(votes[start:stop], 3, out=value)
@@ -285,31 +272,42 @@ def _bins_scoring(votes: np.ndarray, least: int) -> tuple[np.ndarray, np.ndarray
         value += side
         value *= 2
         value += side
-        high = np.flatnonzero(value >= least)
-        found.append(high + start)
-        scores.append(value[high])
-    return np.concatenate(found), np.concatenate(scores).astype(np.int64)
 
 
-def _score(votes: np.ndarray, bins: np.ndarray) -> np.ndarray:
-    """Six times the sum of votes weighted 1 / (1 + |n|) over distances n = −2 … 2, at flat bins."""
-    near = votes[bins - 1].astype(np.int64) + votes[bins + 1]
-    far = votes[bins - 2].astype(np.int64) + votes[bins + 2]
-    return 6 * votes[bins].astype(np.int64) + 3 * near + 2 * far
+def _candidates(scores: np.ndarray, guess: int) -> Iterator[tuple[int, int, int]]:
+    """Row, column and score of local 3x3 maxima of a slice, largest first.
+
+    They are found in bands of falling score; `guess` is where the first band may end, which changes
+    the work and never the order.
+    """
+    flat = scores.reshape(-1)
+    upper = int(flat.max(initial=0)) + 1
+    lower = guess if 0 < guess < upper else upper // 2
+    while upper > 1:
+        lower = max(lower, 1)
+        bins = np.flatnonzero(flat >= lower)
+        values = flat[bins]
+        bins, values = bins[values < upper], values[values < upper]
+        bins, values = _local_maxima(scores, bins, values)
+        order = np.argsort(-values.astype(np.int64), kind="stable")
+        rows, columns = np.divmod(bins[order], scores.shape[1])
+        yield from zip(rows.tolist(), columns.tolist(), values[order].tolist(), strict=True)
+        upper, lower = lower, int(_BAND * lower)
 
 
 def _local_maxima(
-    votes: np.ndarray, bins: np.ndarray, values: np.ndarray
+    scores: np.ndarray, bins: np.ndarray, values: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Flat bins, and their scores, that none of their eight neighbours exceeds."""
-    n_rows, n_columns = votes.shape
-    flat = votes.reshape(-1)
+    n_columns, flat = scores.shape[1], scores.reshape(-1)
     for down in (0, -1, 1):  # the neighbours in the same row discard most
         for right in (-1, 1) if down == 0 else (0, -1, 1):
-            rows, columns = np.divmod(bins, n_columns)
-            outside = (rows + down < 0) | (rows + down >= n_rows)
-            columns = np.where(outside, n_columns - 1 - columns, columns)
-            keep = values >= _score(flat, (rows + down) % n_rows * n_columns + columns + right)
+            beside = bins + (down * n_columns + right)
+            if down:  # beyond 0° and 180° the rows go on mirrored
+                low, high = beside < 0, beside >= flat.size
+                beside[low] = flat.size - 1 - n_columns - beside[low]
+                beside[high] = flat.size - 1 + n_columns - beside[high]
+            keep = values >= flat[beside]
             bins, values = bins[keep], values[keep]
     return bins, values
 
