@@ -32,8 +32,8 @@ class AlemanFloresConfig:
         distance_range: Lines up to this many half diagonals from the centre are searched, in the
             undistorted plane.
         coarse_angles: All values of p are first searched at every so many-th angle; 1 for none.
-        coarse_margin: A slice whose coarse score is lower than the best by more than this share is
-            not searched in full.
+        coarse_margin: Searched in full are slices whose coarse score is lower than the best by no
+            more than this share, and the two next to the best.
         maxima: Maxima picked in each slice of the Hough space.
         clear_angle_deg: Neighbourhood cleared around a maximum (2014), degrees.
         clear_distance: Neighbourhood cleared around a maximum (2014), px.

@@ -40,8 +40,9 @@ class LineEnergy:
         if factor.min() <= 1e-9:
             return np.inf
         table = self._products
-        np.divide(x, factor, out=table[0])
-        np.divide(y, factor, out=table[1])
+        np.divide(1.0, factor, out=factor)
+        np.multiply(x, factor, out=table[0])
+        np.multiply(y, factor, out=table[1])
         np.multiply(table[0], table[0], out=table[2])
         np.multiply(table[0], table[1], out=table[3])
         np.multiply(table[1], table[1], out=table[4])

@@ -22,11 +22,11 @@ SCORE_UNIT = 6
 """Slices hold six times the score, so that 1, 1/2 and 1/3 are whole numbers."""
 
 _BLOCK_BINS = 1 << 16  # bins worked on together, so that they stay in the cache
-_FIRST_BAND, _BAND = 0.8, 0.6  # where bands of candidates end, relative to the last pick and band
+_FIRST_BAND, _BAND = 0.9, 0.75  # where bands of candidates end, relative to the last pick and band
 _MARGIN = 6  # empty distance bins at each side of a slice
 
 Picked = tuple[np.ndarray, np.ndarray, np.ndarray]
-"""Angles, distances and scores of the maxima of a slice."""
+"""Maxima of a slice: angles or rows, distances or columns, and scores."""
 
 
 @dataclass(frozen=True)
@@ -79,7 +79,10 @@ def hough_search(
         look = replace(config, angle_step_deg=config.angle_step_deg * coarse)
         slices = _search(points, normals, radius, p_values, look)
         scores = np.array([picked[2].sum() for picked in slices])
-        p_values = p_values[scores >= (1.0 - config.coarse_margin) * scores.max()]
+        promising = scores >= (1.0 - config.coarse_margin) * scores.max()
+        best = int(np.argmax(scores))
+        promising[max(best - 1, 0) : best + 2] = True  # the sharpest peaks fall between the angles
+        p_values = p_values[promising]
     slices = _search(points, normals, radius, p_values, config)
     scores = np.array([picked[2].sum() for picked in slices])
     best = int(np.argmax(scores))  # the first one on ties
@@ -231,13 +234,15 @@ class _Accumulator:
         used = self.used[: shape[0] * shape[1]].reshape(shape)
         used.fill(False)
         picked: list[tuple[int, int, int]] = []
-        for row, column, value in _candidates(scores, int(_FIRST_BAND * self.last_pick)):
-            if used[row + half_rows, column + half_columns]:
-                continue
-            picked.append((row, column, value))
-            if len(picked) == self.config.maxima:
-                break
-            self._clear(used, row, column, votes.shape)
+        for rows, columns, values in _candidates(scores, int(_FIRST_BAND * self.last_pick)):
+            free = ~used[rows + half_rows, columns + half_columns]
+            for row, column, value in np.stack([rows, columns, values], axis=1)[free].tolist():
+                if used[row + half_rows, column + half_columns]:
+                    continue
+                picked.append((row, column, value))
+                if len(picked) == self.config.maxima:
+                    return picked
+                self._clear(used, row, column, votes.shape)
         return picked
 
     def _clear(self, used: np.ndarray, row: int, column: int, shape: tuple[int, ...]) -> None:
@@ -274,11 +279,11 @@ def _score(votes: np.ndarray, scores: np.ndarray) -> None:
         value += side
 
 
-def _candidates(scores: np.ndarray, guess: int) -> Iterator[tuple[int, int, int]]:
-    """Row, column and score of local 3x3 maxima of a slice, largest first.
+def _candidates(scores: np.ndarray, guess: int) -> Iterator[Picked]:
+    """Rows, columns and scores of local 3x3 maxima of a slice, largest first, band after band.
 
-    They are found in bands of falling score; `guess` is where the first band may end, which changes
-    the work and never the order.
+    `guess` is where the first band of falling scores may end, which changes the work and never the
+    order.
     """
     flat = scores.reshape(-1)
     upper = int(flat.max(initial=0)) + 1
@@ -289,9 +294,9 @@ def _candidates(scores: np.ndarray, guess: int) -> Iterator[tuple[int, int, int]
         values = flat[bins]
         bins, values = bins[values < upper], values[values < upper]
         bins, values = _local_maxima(scores, bins, values)
-        order = np.argsort(-values.astype(np.int64), kind="stable")
-        rows, columns = np.divmod(bins[order], scores.shape[1])
-        yield from zip(rows.tolist(), columns.tolist(), values[order].tolist(), strict=True)
+        values = values.astype(np.intp)
+        order = np.argsort(-values, kind="stable")
+        yield *np.divmod(bins[order], scores.shape[1]), values[order]
         upper, lower = lower, int(_BAND * lower)
 
 

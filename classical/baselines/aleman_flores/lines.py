@@ -22,7 +22,7 @@ MERGE_COSINE = 0.95
 cosine of the angle of two lines."""
 
 _NO_LINE = 1e9
-_CHUNK = 1 << 22
+_CHUNK = 1 << 16  # pairs of a point and a line worked on together, so that they stay in the cache
 
 
 @dataclass(frozen=True)
@@ -117,7 +117,7 @@ def _collect(
         for start in range(0, len(points), chunk):
             part = slice(start, start + chunk)
             near = np.abs(points[part] @ line_normals.T - line_distances) < reach
-            row, line = np.nonzero(near)
+            row, line = np.divmod(np.flatnonzero(near), len(line_distances))
             agree = np.abs((normals[part][row] * line_normals[line]).sum(axis=1)) > least
             row, line = row[agree][::-1], line[agree][::-1]
             labels[part][row] = line  # written backwards: the first line is written last
@@ -196,18 +196,29 @@ def _merge_2016(
     facing = _facing(normals, lines)
     least = max(MERGE_COSINE, np.cos(np.deg2rad(2 * config.angle_max_deg)))
     alive = np.ones(count, bool)
+    ends = np.stack([_ends(points[own], lines.normals[i]) for i, own in enumerate(members)])
     for k in range(count):
         if not alive[k]:
             continue
-        line = (lines.normals[k], lines.distances[k])
-        alike = alive & (facing @ facing[k] > least)
-        for other in np.flatnonzero(alike[k + 1 :]) + k + 1:
-            if _continues(points[members[k]], points[members[other]], *line):
+        normal, distance = lines.normals[k], lines.distances[k]
+        alike = np.flatnonzero(alive & (facing @ facing[k] > least))
+        other: int | None = k
+        while other is not None:
+            near = (np.abs(ends[alike] @ normal - distance) <= MERGE_FARTHEST).all(axis=1)
+            other = next(
+                (
+                    int(i)
+                    for i in alike[near & (alike > other)]
+                    if _continues(points[members[k]], points[members[i]], normal, distance)
+                ),
+                None,
+            )
+            if other is not None:
                 members[k] = np.concatenate([members[k], members[other]])
                 labels[members[other]] = k
                 alive[other] = False
                 fitted = fit_lines(points[members[k]], np.zeros(len(members[k]), np.intp), 1)
-                line = (fitted[0][0], fitted[1][0])
+                normal, distance = fitted[0][0], fitted[1][0]
     return _refitted(points, _renumbered(labels, alive), int(alive.sum()))
 
 
@@ -219,6 +230,12 @@ def _facing(normals: np.ndarray, lines: LineSet) -> np.ndarray:
         line, (normals[member] * lines.normals[line]).sum(axis=1), minlength=len(lines)
     )
     return lines.normals * np.where(balance >= 0, 1.0, -1.0)[:, None]
+
+
+def _ends(points: np.ndarray, normal: np.ndarray) -> np.ndarray:
+    """The first and the last point along a line."""
+    along = points @ np.array([-normal[1], normal[0]])
+    return points[[np.argmin(along), np.argmax(along)]]
 
 
 def _continues(first: np.ndarray, second: np.ndarray, normal: np.ndarray, distance: float) -> bool:
