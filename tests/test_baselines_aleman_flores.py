@@ -12,9 +12,9 @@ import pytest
 from classical.baselines import TwoParameterDivision, aleman_flores
 from classical.baselines.aleman_flores import AlemanFloresConfig
 from classical.baselines.aleman_flores.cleaning import clean_edges
-from classical.baselines.aleman_flores.edges import EdgePoints, detect_edges
+from classical.baselines.aleman_flores.edges import EdgePoints, detect_edges, smoothing_kernel
 from classical.baselines.aleman_flores.energy import LineEnergy
-from classical.baselines.aleman_flores.hough import hough_search, undistort_edges
+from classical.baselines.aleman_flores.hough import HoughMaxima, hough_search, undistort_edges
 from classical.baselines.aleman_flores.lines import LineSet, fit_lines, lines_from_maxima
 from classical.baselines.aleman_flores.refine import Refined, coefficient, refine_p
 from classical.baselines.aleman_flores.refine_two import coefficients, growths, refine_two
@@ -65,6 +65,15 @@ def test_p_is_the_growth_of_the_radius_at_the_corner():
     assert 1 / (1 + k * RADIUS**2) == pytest.approx(1.89)
 
 
+@pytest.mark.parametrize("sigma", [1.0, 2.0, 3.0])
+def test_smoothing_has_its_standard_deviation(sigma: float):
+    kernel = smoothing_kernel(sigma)
+    offset = np.arange(len(kernel)) - len(kernel) // 2
+    assert kernel.sum() == pytest.approx(1.0)
+    np.testing.assert_allclose(kernel, kernel[::-1])
+    assert np.sqrt((kernel * offset**2).sum()) == pytest.approx(sigma, rel=0.01)
+
+
 def test_edges_of_a_step_lie_on_it_and_point_to_the_bright_side():
     grey = np.full((60, 80), 50.0, np.float32)
     grey[:, 40:] = 200.0
@@ -101,9 +110,12 @@ def test_normals_follow_the_curve_that_the_points_follow():
 
 
 def brute_force_maxima(
-    points: np.ndarray, normals: np.ndarray, config: AlemanFloresConfig
+    points: np.ndarray, normals: np.ndarray, end: int, config: AlemanFloresConfig
 ) -> list[tuple[int, int, float]]:
-    """Voting and picking as written in the article: five bins a vote, one maximum at a time."""
+    """Voting and picking as written in the article: five bins a vote, one maximum at a time.
+
+    Votes for distances from `end` on do not count.
+    """
     step, reach, n = np.deg2rad(config.angle_step_deg), config.angle_reach, config.n_angles
     centre = int(np.hypot(*points.T).max()) + 20
     score = np.zeros((n, 2 * centre + 1))
@@ -112,6 +124,8 @@ def brute_force_maxima(
         for j in range(row - reach, row + reach + 1):
             a = j * step
             d = int(np.floor(x * np.cos(a) + y * np.sin(a) + centre + 0.5)) - centre
+            if abs(d) >= end:
+                continue
             sign = 1 if 0 <= j < n else -1
             for nd in range(-2, 3):
                 score[j % n, centre + sign * (d + nd)] += 1 / (1 + abs(nd))
@@ -135,7 +149,8 @@ def brute_force_maxima(
     return picked
 
 
-def test_maxima_are_those_of_the_votes_counted_one_by_one():
+@pytest.mark.parametrize(("radius", "end"), [(100.0, 200), (60.0, 74)])
+def test_maxima_are_those_of_the_votes_counted_one_by_one(radius: float, end: int):
     rng = np.random.default_rng(3)
     config = AlemanFloresConfig(
         angle_step_deg=1.0, angle_max_deg=5.0, clear_angle_deg=2.0, clear_distance=4, maxima=6
@@ -149,8 +164,8 @@ def test_maxima_are_those_of_the_votes_counted_one_by_one():
         [[[0.0, 1.0]] * 60, [[1.0, -0.01]] * 60, np.stack([np.cos(angle), np.sin(angle)], 1)]
     )
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
-    found = hough_search(points, normals, 100.0, np.zeros(1), config=config)
-    expected = brute_force_maxima(points, normals, config)
+    found = hough_search(points, normals, radius, np.zeros(1), config=config)
+    expected = brute_force_maxima(points, normals, end, config)
     np.testing.assert_allclose(found.scores, [score for _, _, score in expected])
     rows = np.rint(np.rad2deg(found.angles))
     assert [(int(r), int(d)) for r, d in zip(rows, found.distances, strict=True)] == [
@@ -174,6 +189,55 @@ def test_search_does_not_depend_on_the_number_of_workers():
     assert one.p == three.p == 0.4
     np.testing.assert_array_equal(one.slice_scores, three.slice_scores)
     np.testing.assert_array_equal(one.distances, three.distances)
+
+
+@pytest.mark.parametrize("variant", ["2014", "2016"])
+@pytest.mark.parametrize("p", [0.0, 0.4, 0.9])
+def test_first_look_finds_the_slice_of_the_full_search(variant: aleman_flores.Variant, p: float):
+    image = striped_picture(Division(coefficient(p, RADIUS), *CENTRE, WIDTH, HEIGHT))
+    config = AlemanFloresConfig.for_variant(variant, p_max=1.5)
+    edges = detect_edges(image.astype(np.float32), config=config)
+    slices = np.linspace(0, 1.5, 16)
+    quick, full = (
+        hough_search(
+            edges.points - np.array(CENTRE),
+            edges.normals,
+            RADIUS,
+            slices,
+            config=replace(config, coarse_angles=coarse),
+        )
+        for coarse in (5, 1)
+    )
+    assert len(quick.slice_p) < len(full.slice_p) == 16
+    assert quick.p == full.p == pytest.approx(p)
+    np.testing.assert_array_equal(quick.distances, full.distances)
+    np.testing.assert_array_equal(quick.scores, full.scores)
+
+
+def test_lines_beyond_the_range_are_not_looked_for():
+    t = np.arange(-50.0, 50.0)
+    points, normals = np.stack([t, np.full(100, 130.0)], axis=1), np.tile([0.0, 1.0], (100, 1))
+    config = AlemanFloresConfig(angle_step_deg=1.0, angle_max_deg=2.0)
+    near = hough_search(points, normals, 100.0, np.zeros(1), config=config)
+    far = hough_search(
+        points, normals, 100.0, np.zeros(1), config=replace(config, distance_range=1.5)
+    )
+    assert len(near.scores) == 0
+    assert far.distances[0] == 130.0
+
+
+@pytest.mark.parametrize(("side", "count"), [(1.0, 1), (-1.0, 2)])
+def test_pieces_of_a_line_merge_if_they_grow_bright_to_the_same_side(side: float, count: int):
+    t = np.append(np.arange(-100.0, -20.0), np.arange(20.0, 100.0))
+    points = np.stack([t, 0.08 * t], axis=1)
+    points[:, 1] += np.where(t < 0, 4.0, -4.0)
+    normals = np.stack([np.zeros(160), np.where(t < 0, 1.0, side)], axis=1)
+    maxima = HoughMaxima(
+        0.0, np.full(2, np.pi / 2 + 0.08), np.array([4.0, -4.0]), np.ones(2), np.ones(1), np.ones(1)
+    )
+    config = AlemanFloresConfig.for_variant("2016", collect_slack=0.0)
+    lines = lines_from_maxima(points, normals, maxima, config=config)
+    assert len(lines) == count
 
 
 def test_points_join_the_first_line_and_near_lines_merge():
@@ -336,21 +400,22 @@ def shared_references() -> Path | None:
 
 
 @pytest.mark.skipif(shared_references() is None, reason="needs the shared reference pictures")
-@pytest.mark.parametrize(
-    ("name", "variant"), [("grid_p1.0.png", "2014"), ("grid_p0.5.png", "2016")]
-)
-def test_grids_agree_with_the_authors_programs(name: str, variant: aleman_flores.Variant):
+@pytest.mark.parametrize("answer", ["2014_angle10_lines30", "2014_angle2_lines30", "2016"])
+@pytest.mark.parametrize("grid", ["p0.5", "p1.0", "p2.0", "equidistant130"])
+def test_grids_agree_with_the_authors_programs(grid: str, answer: str):
     folder = shared_references()
     assert folder is not None
+    name = f"grid_{grid}.png"
     entry = next(
         e for e in json.loads((folder / "reference.json").read_text()) if e["image"] == name
     )
-    theirs = entry["authors_2016" if variant == "2016" else "authors_2014_angle10_lines30"]
+    theirs = entry[f"authors_{answer}"]
     image = cv2.imread(str(folder / name))
     assert image is not None
-    result = aleman_flores.estimate(
-        np.ascontiguousarray(image[..., ::-1]), config=AlemanFloresConfig.for_variant(variant)
+    config = AlemanFloresConfig.for_variant(
+        "2016" if answer == "2016" else "2014", angle_max_deg=2.0 if "angle2" in answer else 10.0
     )
+    result = aleman_flores.estimate(np.ascontiguousarray(image[..., ::-1]), config=config)
     assert result.model is not None
     radius = float(np.hypot(*entry["size"])) / 4
     expected = radius / (1 + theirs["k1"] * radius**2 + theirs["k2"] * radius**4) - radius

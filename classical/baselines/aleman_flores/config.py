@@ -33,7 +33,7 @@ class AlemanFloresConfig:
             undistorted plane.
         coarse_angles: All values of p are first searched at every so many-th angle; 1 for none.
         coarse_margin: Searched in full are slices whose coarse score is lower than the best by no
-            more than this share, and the two next to the best.
+            more than this share, the two next to the best, and p = 0.
         maxima: Maxima picked in each slice of the Hough space.
         clear_angle_deg: Neighbourhood cleared around a maximum (2014), degrees.
         clear_distance: Neighbourhood cleared around a maximum (2014), px.
@@ -73,7 +73,7 @@ class AlemanFloresConfig:
     angle_max_deg: float = 10.0
     distance_range: float = 1.2
     coarse_angles: int = 5
-    coarse_margin: float = 0.04
+    coarse_margin: float = 0.05
     maxima: int = 30
     clear_angle_deg: float = 2.0
     clear_distance: int = 20
