@@ -3,8 +3,9 @@
 Exactly the voting of the articles, arranged for speed: a point votes once for each angle, in whole
 numbers, and the five distance bins of weight 1 / (1 + |n|), n = −2 … 2, are summed afterwards where
 a maximum is possible. Only one slice a worker is in memory at a time. A first look at every fifth
-angle tells which slices can be the best: on 26 drawn, photographed and bent pictures, with three
-configurations each, the best one was at most 3.7 % under the first there.
+angle tells which slices can be the best. Of 56 searches (drawn, photographed, bent and straight
+pictures, both variants) one went to another slice than a search of all in full: 0.5 for 0.8, in a
+straight photograph where both are wrong.
 """
 
 from __future__ import annotations
