@@ -72,6 +72,7 @@ STEPS = tuple(
         ("prior", "… and its belief", "#807dba"),
         ("snapped", "… and sub-pixel edges", "#6a51a3"),
         ("edges", "… and the picture's own edges", "#4a1486"),
+        ("parallels", "… and directions of lines", "#2d0a57"),
     )
 )
 """The hybrid built up step by step; the whole adds vanishing points. Asked for by name only."""

@@ -12,6 +12,7 @@ from classical.fit import (
     FitConfig,
     LensFit,
     Observation,
+    ParallelsConfig,
     VanishingConfig,
     fit_lens,
     of_field,
@@ -48,11 +49,14 @@ class ClassicalEstimator:
             return failure
         height, width = pictures[0].shape[:2]
         circles = [find_image_circle(picture) for picture in pictures]
+        seed = self._config.seed
         fit = fit_lens(
             [curves_from_image(picture) for picture in pictures],
             width,
             height,
-            config=FitConfig(vanishing=VanishingConfig(seed=self._config.seed)),
+            config=FitConfig(
+                parallels=ParallelsConfig(seed=seed), vanishing=VanishingConfig(seed=seed)
+            ),
             circles=circles,
             observations=given_by_user(self._config, circles, width),
         )

@@ -20,6 +20,7 @@ from classical.fit import (
     FitConfig,
     LensPrior,
     Observation,
+    ParallelsConfig,
     VanishingConfig,
     fit_lens,
     of_belief,
@@ -54,6 +55,7 @@ class HybridConfig:
             deviation widened so far: a network does worse on real pictures than on those it was
             trained on, and worst in the shape of the lens. The whole lens is believed where the
             weights are for pictures like their training set alone: their card has a "doubt".
+        has_parallels: Lines that point in one direction help the bends.
         has_vanishing: Orthogonal vanishing points help to fix the scale.
         longest: Line perception looks at the picture with this longest side, pixels.
     """
@@ -62,19 +64,22 @@ class HybridConfig:
     adds_edges: bool = True
     believes: bool = True
     field_doubt: float = 4.0
+    has_parallels: bool = True
     has_vanishing: bool = True
     longest: int = 640
 
 
+_BENDS_ALONE = HybridConfig(has_parallels=False, has_vanishing=False)
 VARIANTS = {
-    "start": HybridConfig(snaps=False, adds_edges=False, believes=False, has_vanishing=False),
-    "prior": HybridConfig(snaps=False, adds_edges=False, has_vanishing=False),
-    "snapped": HybridConfig(adds_edges=False, has_vanishing=False),
-    "edges": HybridConfig(has_vanishing=False),
+    "start": replace(_BENDS_ALONE, snaps=False, adds_edges=False, believes=False),
+    "prior": replace(_BENDS_ALONE, snaps=False, adds_edges=False),
+    "snapped": replace(_BENDS_ALONE, adds_edges=False),
+    "edges": _BENDS_ALONE,
+    "parallels": HybridConfig(has_vanishing=False),
     "full": HybridConfig(),
 }
 """Each has one thing more than the one before: a fit from the network's start, its belief,
-sub-pixel edges, edges of the picture's own, vanishing points."""
+sub-pixel edges, edges of the picture's own, directions of lines, vanishing points."""
 
 
 class HybridEstimator:
@@ -91,7 +96,7 @@ class HybridEstimator:
         failure = too_small(pictures)
         if failure is not None:
             return failure
-        cfg = self._hybrid
+        cfg, seed = self._hybrid, self._config.seed
         with ThreadPoolExecutor(max_workers=1) as networks:
             # the networks look while edges are found; threads=1 does one after the other
             submit = _at_once if self._config.threads == 1 else networks.submit
@@ -112,7 +117,8 @@ class HybridEstimator:
             width,
             height,
             config=FitConfig(
-                vanishing=VanishingConfig(seed=self._config.seed) if cfg.has_vanishing else None,
+                parallels=ParallelsConfig(seed=seed) if cfg.has_parallels else None,
+                vanishing=VanishingConfig(seed=seed) if cfg.has_vanishing else None,
             ),
             circles=circles,
             observations=observations,

@@ -362,10 +362,10 @@ def test_seed_reaches_the_random_frames_of_the_fit(monkeypatch):
     seeds = []
 
     def fit(*_arguments, config, **_known):
-        seeds.append(config.vanishing.seed)
+        seeds.extend([config.parallels.seed, config.vanishing.seed])
         raise RuntimeError("seen")
 
     monkeypatch.setattr(estimators, "fit_lens", fit)
     with pytest.raises(RuntimeError, match="seen"):
         estimators.ClassicalEstimator(RectifyConfig(seed=7))([np.zeros((64, 64, 3), np.uint8)])
-    assert seeds == [7]
+    assert seeds == [7, 7]

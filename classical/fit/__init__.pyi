@@ -6,6 +6,7 @@ from .observations import of_belief as of_belief
 from .observations import of_belief_field as of_belief_field
 from .observations import of_field as of_field
 from .observations import of_focal as of_focal
+from .parallels import ParallelsConfig as ParallelsConfig
 from .plumb_line import FitConfig as FitConfig
 from .plumb_line import fit_lens as fit_lens
 from .prior import LensPrior as LensPrior

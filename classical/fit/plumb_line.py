@@ -12,6 +12,7 @@ from classical.camera import KannalaBrandt
 from classical.fit.bends import BendConfig
 from classical.fit.fitted import STRAIGHT_PX, fitted_curves
 from classical.fit.observations import Observation, of_circles
+from classical.fit.parallels import ParallelsConfig
 from classical.fit.perspective import PerspectiveConfig, perspective_instead
 from classical.fit.quality import disagreement, judge, predicted_error
 from classical.fit.result import LensFit
@@ -19,6 +20,7 @@ from classical.fit.rounds import REFERENCE_WIDTH, Known, Settled, settle
 from classical.fit.samples import CurveSamples, sample_curves
 from classical.fit.scale import (
     fused_scale,
+    held_scale,
     scale_source,
     scale_tangent,
     scale_variance,
@@ -53,6 +55,7 @@ class FitConfig:
             against curves that err together; what it reaches on average is better than that, and
             this value makes the predicted errors of held-out synthetic pictures come true.
         perspective: When a picture is taken for straight already; None means never.
+        parallels: How lines of one direction help the bends; None leaves the lens to the bends.
         vanishing: How orthogonal vanishing points fix the scale; None leaves it to the prior.
         search: The global start.
         solver: The local solver.
@@ -66,6 +69,7 @@ class FitConfig:
     joinings: int = 1
     covariance_redundancy: float = 1.5
     perspective: PerspectiveConfig | None = field(default_factory=PerspectiveConfig)
+    parallels: ParallelsConfig | None = field(default_factory=ParallelsConfig)
     vanishing: VanishingConfig | None = field(default_factory=VanishingConfig)
     search: SearchConfig = field(default_factory=SearchConfig)
     solver: SolverConfig = field(default_factory=SolverConfig)
@@ -151,6 +155,8 @@ def _fit(
         )
         final = replace(config, tolerances=config.tolerances[-1:])
         best = _settled(samples, best.camera, known, final)
+    if config.parallels is not None:
+        best = _with_parallels(best, joined, known, config)
     source = scale_source(best, known)
     candidate = _Candidate(best.camera, best.covariance, source)
     if config.perspective is not None:
@@ -174,7 +180,11 @@ def _best(
 
 
 def _settled(
-    samples: CurveSamples, camera: KannalaBrandt, known: Known, config: FitConfig
+    samples: CurveSamples,
+    camera: KannalaBrandt,
+    known: Known,
+    config: FitConfig,
+    parallels: ParallelsConfig | None = None,
 ) -> Settled:
     return settle(
         samples,
@@ -184,12 +194,32 @@ def _settled(
         bend=config.bend,
         solver=config.solver,
         covariance_redundancy=config.covariance_redundancy,
+        parallels=parallels,
     )
+
+
+def _with_parallels(
+    best: Settled, curve_sets: Sequence[Sequence[Curve]], known: Known, config: FitConfig
+) -> Settled:
+    """Settle once more with directions beside the bends.
+
+    They tell no scale, so that is held; and how far lines of one direction err together is not
+    known, so the lens is believed no more than by its bends.
+    """
+    assert config.parallels is not None
+    pool = [_longest(curves, config.parallels.max_curves) for curves in curve_sets]
+    samples = _samples(pool, best.camera.width, config)
+    held = replace(known, observations=[*known.observations, held_scale(best.camera)])
+    rounds = replace(config, tolerances=config.tolerances[-1:] * len(config.parallels.tolerances))
+    second = _settled(samples, best.camera, held, rounds, config.parallels)
+    return replace(best, camera=second.camera)
 
 
 def _samples(pool: Sequence[Sequence[Curve]], width: int, config: FitConfig) -> CurveSamples:
     curves = [curve for picture in pool for curve in picture]
-    return sample_curves(curves, spacing=config.spacing * width / REFERENCE_WIDTH)
+    pictures = np.repeat(np.arange(len(pool)), [len(picture) for picture in pool])
+    spacing = config.spacing * width / REFERENCE_WIDTH
+    return sample_curves(curves, spacing=spacing, pictures=pictures)
 
 
 def _longest(curves: Sequence[Curve], most: int) -> list[Curve]:

@@ -29,7 +29,7 @@ def predicted_error(camera: KannalaBrandt, covariance: Float[np.ndarray, "9 9"])
     Returns:
         Root mean square over the picture's pixels up to 60°, pixels of a 320 frame, f = 160 px.
     """
-    positions, by_camera = _rectified(camera)
+    positions, by_camera = rectified_grid(camera)
     if len(positions) < 4:
         return float("nan")
     flat = by_camera.reshape(-1, 9)  # (n * 2, 9), u and v of each point in turn
@@ -48,7 +48,7 @@ def disagreement(camera: KannalaBrandt, other: KannalaBrandt) -> float:
     Returns:
         Root mean square, pixels of a 320 frame, f = 160 px.
     """
-    positions, _ = _rectified(camera)
+    positions, _ = rectified_grid(camera)
     points = _grid(camera)
     rays, valid = camera.unproject(points)
     seen = valid & (rays[:, 2] >= np.cos(_WIDEST))
@@ -69,8 +69,16 @@ def _grid(camera: KannalaBrandt) -> np.ndarray:
     return np.stack(np.meshgrid(u, v), axis=-1).reshape(-1, 2)
 
 
-def _rectified(camera: KannalaBrandt) -> tuple[np.ndarray, np.ndarray]:
-    """Rectified positions of a grid of pixels and their derivatives by the camera's vector."""
+def rectified_grid(camera: KannalaBrandt) -> tuple[np.ndarray, np.ndarray]:
+    """Rectified positions of a grid of pixels up to 60°, and ∂positions/∂camera.
+
+    Args:
+        camera: A lens.
+
+    Returns:
+        Positions (n, 2) from the principal point, pixels of a 320 frame with f = 160 px, and their
+        derivatives by the camera's vector (n, 2, 9).
+    """
     points = _grid(camera)
     jacobian = camera.unproject_jacobian(points)
     seen = jacobian.valid & (jacobian.rays[:, 2] >= np.cos(_WIDEST))

@@ -13,6 +13,7 @@ from scipy.sparse import csc_array
 from classical.camera import KannalaBrandt
 from classical.fit.bends import BendConfig, Bends
 from classical.fit.observations import Observation, observed
+from classical.fit.parallels import Parallels, ParallelsConfig, find_parallels
 from classical.fit.prior import LensPrior, generic_prior
 from classical.fit.samples import CurveSamples
 from classical.fit.solve import SolverConfig, solve
@@ -68,6 +69,7 @@ def settle(
     bend: BendConfig,
     solver: SolverConfig,
     covariance_redundancy: float,
+    parallels: ParallelsConfig | None = None,
 ) -> Settled:
     """Solve in rounds; each re-weights curves by how straight the last lens made them.
 
@@ -80,21 +82,27 @@ def settle(
         bend: How far straight lines look bent.
         solver: The local solver.
         covariance_redundancy: As `SolverConfig.redundancy`, for the covariance.
+        parallels: How lines of one direction hold the lens beside their bends; None leaves it to
+            the bends.
     """
     bends = Bends.of(samples, camera.width, bend)
     belief = known.belief(camera)
     information = np.eye(8)
-    for tolerance in tolerances:
+    directions = None
+    for number, tolerance in enumerate(tolerances):
         belief = known.belief(camera)
         now = straightness(camera, samples)
         shares = curve_shares(samples, now.residuals, tolerance * bends.scale)
         deviation = bends.deviation(now.residuals, shares)
+        if parallels is not None:
+            directions = _directions(now, bends, shares, deviation, number, parallels)
         problem = _Problem(
             samples,
             belief,
             bends.operator(deviation, shares),
             np.sqrt(shares) / (deviation * bends.scale * samples.counts),
             camera,
+            directions,
         )
         solution = solve(problem.residuals, problem.jacobian, belief.encode(camera), config=solver)
         camera = belief.decode(solution.value, camera.width, camera.height)
@@ -102,6 +110,29 @@ def settle(
     data = (information - np.eye(8)) * solver.redundancy / covariance_redundancy
     spread = np.linalg.inv(data + np.eye(8))
     return Settled(camera, belief.factor @ spread @ belief.factor.T)
+
+
+def _directions(
+    now: Straightness,
+    bends: Bends,
+    shares: Float[np.ndarray, " curves"],
+    deviation: float,
+    number: int,
+    config: ParallelsConfig,
+) -> Parallels:
+    """The directions of the curves in a round."""
+    samples = bends.samples
+    lengths = samples.lengths
+    bows = deviation * bends.scale * bends.shapes[:, 0]
+    return find_parallels(
+        now.normals,
+        lengths,
+        shares,
+        config.tilt * bows / (lengths / 2),
+        np.zeros(samples.n_curves, int) if samples.pictures is None else samples.pictures,
+        tolerance=config.tolerances[min(number, len(config.tolerances) - 1)],
+        config=config,
+    )
 
 
 def curve_shares(
@@ -113,13 +144,17 @@ def curve_shares(
 
 @dataclass(frozen=True, eq=False)
 class _Problem:
-    """Bends of the curves in standard deviations as functions of the prior's coordinates."""
+    """What the curves say, in standard deviations, as a function of the prior's coordinates.
+
+    Bends first, then distances out of the lens's reach, then angles to the curves' directions.
+    """
 
     samples: CurveSamples
     prior: LensPrior
     operator: csc_array
     outside: np.ndarray  # weight of each curve's samples out of the lens's reach
     frame: KannalaBrandt  # only its size is used
+    directions: Parallels | None
     last: dict[str, Any] = field(default_factory=dict)
 
     def _at(self, z: np.ndarray) -> Straightness:
@@ -131,12 +166,18 @@ class _Problem:
 
     def residuals(self, z: np.ndarray) -> np.ndarray:
         now = self._at(z)
-        return np.concatenate([self.operator @ now.residuals, self._beyond(now, now.residuals)])
+        parts = [self.operator @ now.residuals, self._beyond(now, now.residuals)]
+        if self.directions is not None:
+            parts.append(self.directions.residuals(now.normals))
+        return np.concatenate(parts)
 
     def jacobian(self, z: np.ndarray) -> np.ndarray:
         now = self._at(z)
         J = now.jacobian
-        return np.concatenate([self.operator @ J, self._beyond(now, J)]) @ self.prior.factor
+        parts = [self.operator @ J, self._beyond(now, J)]
+        if self.directions is not None:
+            parts.append(self.directions.jacobian(now.normals, now.normal_jacobian))
+        return np.concatenate(parts) @ self.prior.factor
 
     def _beyond(self, now: Straightness, values: np.ndarray) -> np.ndarray:
         """Means over the samples out of reach, which a bend does not see if all of them are."""

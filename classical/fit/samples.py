@@ -20,11 +20,13 @@ class CurveSamples:
         points: Pixels of all curves, shape (n, 2).
         starts: Index of each curve's first point, shape (C,).
         spans: Length in pixels that each point stands for, shape (n,).
+        pictures: Number of the picture each curve lies in, shape (C,); None where all lie in one.
     """
 
     points: Float[np.ndarray, "n 2"]
     starts: Int[np.ndarray, " curves"]
     spans: Float[np.ndarray, " n"]
+    pictures: Int[np.ndarray, " curves"] | None = None
 
     @property
     def n_curves(self) -> int:
@@ -79,7 +81,12 @@ class CurveSamples:
 
 
 def sample_curves(
-    curves: Sequence[Curve], *, spacing: float, least: int = 6, most: int = 24
+    curves: Sequence[Curve],
+    *,
+    spacing: float,
+    least: int = 6,
+    most: int = 24,
+    pictures: Int[np.ndarray, " curves"] | None = None,
 ) -> CurveSamples:
     """Thin each curve to points about `spacing` pixels apart.
 
@@ -91,6 +98,7 @@ def sample_curves(
         spacing: Wanted distance between samples, pixels.
         least: Fewest samples a curve.
         most: Most samples a curve.
+        pictures: Number of the picture each curve lies in.
 
     Raises:
         ValueError: If there is no curve.
@@ -104,4 +112,5 @@ def sample_curves(
     counts = np.array([len(points) for points in sampled])
     lengths = np.array([curve.length for curve in curves])
     starts = np.concatenate([[0], np.cumsum(counts)[:-1]])
-    return CurveSamples(np.concatenate(sampled), starts, np.repeat(lengths / counts, counts))
+    spans = np.repeat(lengths / counts, counts)
+    return CurveSamples(np.concatenate(sampled), starts, spans, pictures)

@@ -13,7 +13,9 @@ import numpy as np
 from jaxtyping import Float
 
 from classical.camera import KannalaBrandt
+from classical.fit.observations import Observation
 from classical.fit.prior import FREE, LOG_STRENGTH_DEVIATION
+from classical.fit.quality import rectified_grid
 from classical.fit.rounds import Known, Settled
 from classical.fit.samples import CurveSamples
 from classical.fit.straightness import straightness
@@ -24,7 +26,9 @@ from classical.fit.vanishing import (
     scale_from_directions,
 )
 
+_M_U = 5  # of (k1..k5, m_u, m_v, u0, v0)
 _STEP = 0.02
+_HELD_DEVIATION = 0.01  # of log s
 _END_DEVIATION = 0.2  # of the ends of a line across it, pixels of a picture 1280 wide
 
 
@@ -57,6 +61,16 @@ def scale_source(settled: Settled, known: Known) -> str:
         if told > most:
             best, most = observation.source, told
     return best
+
+
+def held_scale(camera: KannalaBrandt) -> Observation:
+    """The size of a camera's rectified picture, to hold a further fit to that cannot tell it."""
+    positions, by_camera = rectified_grid(camera)
+    outward = positions - positions.mean(axis=0)
+    row = np.einsum("nd,ndj->j", outward, by_camera)[None] / (outward**2).sum()
+    row[0, _M_U] = 0.0
+    value = row @ camera.normalized().to_vector()
+    return Observation("the scale so far", row, value, np.array([[_HELD_DEVIATION**2]]))
 
 
 def vanishing_scale(

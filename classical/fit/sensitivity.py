@@ -50,8 +50,11 @@ def straightness_jacobian(
     field: RayField,
     circles: Circles,
     distances: Distances,
-) -> Float[np.ndarray, "9 n"]:
-    """∂e/∂(k1..k5, m_u, m_v, u0, v0), a row a parameter; all pixels taken for reached."""
+) -> tuple[Float[np.ndarray, "9 n"], Float[np.ndarray, "3 9 curves"]]:
+    """∂e/∂(k1..k5, m_u, m_v, u0, v0), a row a parameter; all pixels taken for reached.
+
+    The second are the same derivatives of the curves' normals.
+    """
     terms = _terms(camera, field, distances)
     out = np.empty((9, len(field.x)))
     _by_k(out, field, distances, terms)
@@ -62,7 +65,7 @@ def straightness_jacobian(
     turned = _normal_derivatives(np.add.reduceat(scatter, samples.starts, axis=2), circles)
     for part, by_normal in enumerate(_by_normal(field, distances, terms)):
         out += by_normal * turned[part][:, samples.owner]
-    return out
+    return out, turned
 
 
 def _terms(camera: KannalaBrandt, field: RayField, distances: Distances) -> _Terms:

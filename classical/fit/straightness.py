@@ -54,12 +54,21 @@ class Straightness:
         """Unit normals of the curves' great circles."""
         return self._circles.normals
 
+    @property
+    def normal_jacobian(self) -> Float[np.ndarray, "3 9 curves"]:
+        """∂normals/∂(k1..k5, m_u, m_v, u0, v0), exact."""
+        return self._derivatives[1]
+
+    @cached_property
+    def _derivatives(self) -> tuple[np.ndarray, np.ndarray]:
+        return straightness_jacobian(
+            self._camera, self._samples, self._weights, self._field, self._circles, self._distances
+        )
+
     @cached_property
     def jacobian(self) -> Float[np.ndarray, "n 9"]:
         """∂residuals/∂(k1..k5, m_u, m_v, u0, v0), exact."""
-        columns = straightness_jacobian(
-            self._camera, self._samples, self._weights, self._field, self._circles, self._distances
-        )
+        columns = self._derivatives[0]
         if not self.reached.all():
             outside = ~self.reached
             columns[:, outside] = overshoot_jacobian(self._camera, self._field)[:, outside]
