@@ -202,6 +202,7 @@ class _Accumulator:
         n_turns = right.shape[1]
         block = max(_BLOCK_BINS // n_turns, 1)
         product, bins = np.empty((block, n_turns)), np.empty((block, n_turns), np.intp)
+        whole = np.empty((block, n_turns), np.int32)  # on the way: twice as fast as to intp at once
         one = np.uint16(1)
         for start in range(0, len(left), block):
             part = left[start : start + block]
@@ -213,7 +214,8 @@ class _Accumulator:
                 np.clip(flat, -end, end, out=flat)
                 flat += part[:, 2:3]
                 flat += right[3]
-            np.copyto(index, flat, casting="unsafe")  # positive: this rounds down
+            np.copyto(whole[: len(part)], flat, casting="unsafe")  # positive: this rounds down
+            np.copyto(index, whole[: len(part)])
             np.add.at(votes, index.ravel(), one)
 
     def _fold(self, votes: np.ndarray) -> np.ndarray:
