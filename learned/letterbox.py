@@ -105,5 +105,8 @@ def as_tensor(image: Integer[ndarray, "h w *c"] | Float[ndarray, "h w *c"]) -> T
         raise ValueError(f"expected a picture (h, w), (h, w, 1), (h, w, 3 or 4), got {image.shape}")
     channels = np.repeat(image, 3, axis=2) if image.shape[2] == 1 else image[..., :3]
     top = np.iinfo(image.dtype).max if np.issubdtype(image.dtype, np.integer) else 1.0
-    values = (channels / np.float32(top)).astype(np.float32)
-    return torch.from_numpy(np.ascontiguousarray(values.transpose(2, 0, 1)))[None].clamp(0.0, 1.0)
+    values = channels / np.float32(top)
+    if not np.issubdtype(image.dtype, np.unsignedinteger):
+        values = values.clip(0.0, 1.0)
+    values = np.ascontiguousarray(values.transpose(2, 0, 1), dtype=np.float32)
+    return torch.from_numpy(values)[None]
