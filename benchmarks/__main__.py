@@ -19,6 +19,7 @@ from benchmarks.networks import measure_networks
 from benchmarks.stages import BARE, SIZES, example, measure_stages, measure_whole
 from benchmarks.start import measure_memory, measure_starts
 from classical.files import atomic_path
+from learned.predictor import LINES_VIEW
 
 ROOT = Path(__file__).parents[1]
 PARTS = ("stages", "whole", "networks", "start", "memory")
@@ -30,8 +31,8 @@ SECTIONS = {
     ),
     "stages": (
         "Stages",
-        "Of the example picture. Line perception looks at no more than 640 pixels across, LaRecNet "
-        "at its frame. Maps are computed once for a lens.",
+        f"Of the example picture. Line perception looks at no more than {LINES_VIEW} pixels "
+        "across, LaRecNet at its frame. Maps are computed once for a lens.",
     ),
     "networks": (
         "PyTorch and ONNX Runtime",

@@ -12,9 +12,10 @@ import torch
 from benchmarks.timing import in_turn
 from learned.export import export_onnx
 from learned.larecnet import LaRecNet
+from learned.predictor import LINES_VIEW
 from learned.weights import load_weights, packaged
 
-VIEW = (512, 640)  # of line perception; it pads to multiples of 64 and more
+VIEW = (LINES_VIEW * 6 // 7, LINES_VIEW)  # of line perception; it pads to multiples of 64 and more
 
 
 def measure_networks(rounds: int) -> dict[str, dict[str, float]]:

@@ -57,9 +57,6 @@ class HybridConfig:
             weights are for pictures like their training set alone: their card has a "doubt".
         has_parallels: Lines that point in one direction help the bends.
         has_vanishing: Orthogonal vanishing points help to fix the scale.
-        longest: Line perception looks at the picture with this longest side, pixels. Lines are
-            then as wide as in its training; at 640 it finds no more of use and takes three times
-            as long.
     """
 
     snaps: bool = True
@@ -68,7 +65,6 @@ class HybridConfig:
     field_doubt: float = 4.0
     has_parallels: bool = True
     has_vanishing: bool = True
-    longest: int = 448
 
 
 _BENDS_ALONE = HybridConfig(has_parallels=False, has_vanishing=False)
@@ -136,7 +132,7 @@ class HybridEstimator:
         return of_belief(belief, _NETWORK, doubt=float(doubt))
 
     def _lineness(self, picture: UInt8[ndarray, "h w 3"]) -> Float[ndarray, "hh ww"]:
-        return self._predictor.lines(picture, longest=self._hybrid.longest).lineness
+        return self._predictor.lines(picture).lineness
 
     def _curves(
         self, picture: UInt8[ndarray, "h w 3"], heatmap: Future[Float[ndarray, "hh ww"]]
