@@ -98,6 +98,14 @@ def test_pictures_share_no_direction() -> None:
         assert len({pictures[curve] for curve in group}) == 1
 
 
+def test_pictures_of_one_scene_count_as_one() -> None:
+    curves = short_lines(LENS, 12, np.random.default_rng(3))
+    once = directions_of(samples_of(curves), LENS)
+    four = directions_of(samples_of(curves * 4, [n for n in range(4) for _ in curves]), LENS)
+    told = [sum((weight**2).sum() for weight in each.weights) for each in (once, four)]
+    assert told[1] == pytest.approx(told[0], rel=0.2)
+
+
 def test_the_jacobian_gives_the_gradient_of_the_squares() -> None:
     """It leaves out how residuals turn with d, to which they are orthogonal."""
     samples = samples_of(short_lines(LENS, 12, np.random.default_rng(4), noise=0.05))

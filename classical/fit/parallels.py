@@ -102,6 +102,9 @@ def find_parallels(
 ) -> Parallels:
     """Find the directions of each picture, the one of most lines first.
 
+    Pictures of one lens tend to show one scene, whose lines err alike in all of them: together
+    their directions count for no more than those of one picture.
+
     Args:
         normals: Unit normals of the curves' great circles.
         lengths: Of the curves, pixels.
@@ -112,14 +115,15 @@ def find_parallels(
         config: The search.
     """
     rng = np.random.default_rng(config.seed)
+    numbers = np.unique(pictures)
     votes = np.where(shares >= _LEAST_SHARE, np.sqrt(lengths / lengths.max()) * shares, 0.0)
     off = np.hypot(tolerance, tilts)
     groups = [
         group
-        for picture in np.unique(pictures)
+        for picture in numbers
         for group in _groups(normals, votes * (pictures == picture), off, rng, config)
     ]
-    deviations = np.hypot(config.deviation, tilts)
+    deviations = np.hypot(config.deviation, tilts) * np.sqrt(len(numbers))
     return Parallels(groups, [np.sqrt(shares[group]) / deviations[group] for group in groups])
 
 
