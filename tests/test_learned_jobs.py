@@ -6,12 +6,16 @@ import torch
 from click.testing import CliRunner
 from small_networks import SMALL, SMALL_RONG, write_small_pack
 
+from hybrid.cli import run
 from learned.commands import train as train_command
 from learned.dlp import LinePerception
 from learned.jobs import JobCfg, Target, run_job
 from learned.larecnet import LaRecNet
 from learned.presets import COMPACT, Preset
 from learned.rong import RongNet
+from learned.slf.atlas import load_atlas
+from learned.slf.batch import SlfBatch
+from learned.slf.stream import SlfStream, StreamCfg
 from learned.train import RunCfg
 from learned.weights import load_weights
 
@@ -75,6 +79,50 @@ def test_command_trains_the_compact_preset(pack: Path, tmp_path: Path) -> None:
     )
     assert result.exit_code == 0, result.output
     assert Path(result.stdout.strip()).exists()
+
+
+def test_command_trains_on_the_scenes_it_was_given(
+    pack: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    batches: list[SlfBatch] = []
+
+    def one_batch(_network, _phase, source, *_arguments, **_options):
+        batches.append(source(0))
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("learned.jobs.train", one_batch)
+    words = ["rong", "--data", str(pack), "--out", str(tmp_path), "--steps", "1", "--batch", "4"]
+    scenes = ["--scenes", "0.25", "1", "0", "--wild", "0.125", "--size", "64", "--cpu"]
+    CliRunner().invoke(train_command, [*words, *scenes])
+    given = StreamCfg(scenes=(0.25, 1.0, 0.0), wild_share=0.125, with_rectified=False)
+    expected = SlfStream(load_atlas(pack), 1, 4, 64, given).batch(0)
+    assert torch.equal(batches[0].image, expected.image)
+    assert torch.equal(batches[0].k, expected.k)
+
+
+@pytest.mark.parametrize(
+    ("scenes", "code", "message"),
+    [
+        ("2 0 0", 2, "2.0 is not in the range"),
+        ("a 0 0", 2, "'a' is not a valid"),
+        ("1 0", 2, "requires 3 arguments"),
+        ("0 0 0", 1, "expected scenes"),
+        ("0 0 1", 1, "expected scenes"),  # a pack without panoramas
+    ],
+)
+def test_scenes_that_cannot_be_are_one_line(
+    pack: Path,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    scenes: str,
+    code: int,
+    message: str,
+) -> None:
+    words = ["train", "rong", "--data", str(pack), "--out", str(tmp_path), "--steps", "1", "--cpu"]
+    assert run([*words, "--workers", "0", "--scenes", *scenes.split()]) == code
+    said = capsys.readouterr().err
+    assert said.count("\n") == 1
+    assert message in said
 
 
 def test_command_refuses_an_unknown_network(pack: Path, tmp_path: Path) -> None:

@@ -1,4 +1,5 @@
 import dataclasses
+import math
 
 import numpy as np
 import pytest
@@ -59,6 +60,27 @@ def test_batch_has_the_documented_ranges(atlas, scene):
     assert batch.line_map.shape == (4, 1, SIZE, SIZE)
     assert torch.equal(batch.k[:, 5], torch.ones(4))
     assert (batch.theta_max > 0.5).all()
+
+
+@pytest.mark.parametrize(("share", "expected"), [(0.0, (0, 0)), (0.25, (5, 15)), (1.0, (40, 40))])
+def test_a_share_of_the_groups_stays_without_camera_effects(atlas, share, expected):
+    """Of 40 groups of two: how many are as without photometry, to the last bit."""
+    planes = (1.0, 0.0, 0.0)
+    config = StreamCfg(planes, group=2, with_rectified=False, clean_share=share)
+    image, clean = (
+        SlfStream(atlas, 5, 80, 32, each).batch(0).image
+        for each in (config, dataclasses.replace(config, photometry=None))
+    )
+    same = (image == clean).flatten(1).all(1).view(40, 2)
+    assert torch.equal(same[:, 0], same[:, 1])  # a group is clean as a whole
+    assert expected[0] <= int(same[:, 0].sum()) <= expected[1]
+
+
+@pytest.mark.parametrize("scenes", [(0.0, 0.0, 0.0), (0.0, 0.0, 1.0), (math.nan, 1.0, 0.0)])
+def test_scenes_without_a_picture_are_told_before_the_first_batch(scenes):
+    flat = build_atlas([dataclasses.replace(p, kind=PHOTOGRAPH) for p in draw_patterns(2, seed=3)])
+    with pytest.raises(ValueError, match="expected scenes"):
+        SlfStream(flat, 1, 4, SIZE, StreamCfg(scenes=scenes))
 
 
 def test_strokes_are_the_projection_of_straight_lines(lens):

@@ -10,6 +10,7 @@ from itertools import pairwise
 
 import numpy as np
 import torch
+from jaxtyping import Float
 from torch import Tensor
 
 from learned.slf.atlas import Atlas
@@ -81,6 +82,13 @@ class SlfStream:
     batch_size: int
     size: int = 320
     config: StreamCfg = field(default_factory=StreamCfg)
+
+    def __post_init__(self) -> None:
+        if not sum(self._weights()) > 0:  # nor where one is NaN
+            raise ValueError(
+                "expected scenes that the pack has pictures for, got the weights "
+                f"{self.config.scenes} of planes, boxes and panoramas"
+            )
 
     def __iter__(self) -> Iterator[SlfBatch]:
         """All batches from the first."""
@@ -159,9 +167,7 @@ class SlfStream:
 
     def _lenses(self, first: int, last: int) -> tuple[np.ndarray, Optics]:
         """The scene of each sample and its lens; drawn in blocks, which is much cheaper."""
-        weights = np.array(self.config.scenes, float) * [
-            len(self.atlas.of_kind(kind)) > 0 for kind in (PHOTOGRAPH, PHOTOGRAPH, PANORAMA)
-        ]
+        weights = self._weights()
         blocks = range(first // _BLOCK, (last - 1) // _BLOCK + 1)
         share = tuple((weights / weights.sum()).tolist())
         drawn = [lens_block(self.seed, i, share, self.config.wild_share) for i in blocks]
@@ -169,6 +175,11 @@ class SlfStream:
         lenses = concatenated([part for _, part in drawn])
         rows = slice(first - blocks[0] * _BLOCK, last - blocks[0] * _BLOCK)
         return scene[rows], optics(lenses[rows], size=self.size, device=self.atlas.texels.device)
+
+    def _weights(self) -> Float[np.ndarray, "3"]:
+        """Weights of planes, boxes and panoramas; 0 where the atlas has no picture for them."""
+        kinds = (PHOTOGRAPH, PHOTOGRAPH, PANORAMA)
+        return np.array(self.config.scenes, float) * [len(self.atlas.of_kind(k)) > 0 for k in kinds]
 
     def _planes(self, rng: np.random.Generator, lens: Optics) -> tuple[Planes, Strokes]:
         photographs = self.atlas.of_kind(PHOTOGRAPH)
