@@ -5,6 +5,7 @@ import os
 import subprocess
 import sys
 from functools import cache
+from importlib.metadata import version
 from pathlib import Path
 
 import cv2
@@ -14,7 +15,15 @@ import tifffile
 from PIL import Image
 
 from classical.camera import KannalaBrandt
-from hybrid import CameraFile, Quality, read_camera, read_picture, write_camera
+from hybrid import (
+    CameraFile,
+    Quality,
+    Rectifier,
+    RectifyConfig,
+    read_camera,
+    read_picture,
+    write_camera,
+)
 from hybrid.cli import run
 from hybrid.failures import reason_of
 
@@ -103,6 +112,32 @@ def test_frame_options_reach_the_picture(tmp_path):
     options = ["--camera", camera_file(tmp_path), "--size", "64x48", "--balance", "1"]
     assert run(words("rectify", source, "--out", tmp_path / "out", *options)) == 0
     assert read_picture(tmp_path / "out" / "black.png").pixels.shape == (48, 64, 3)
+
+
+def test_weights_that_ship_are_chosen_by_name(tmp_path):
+    source = save(tmp_path / "room.png", blinds())
+    options = ["--method", "learned", "--weights", "compact-wf", "--out", tmp_path / "out"]
+    assert run(words("rectify", source, *options)) == 0
+    found = read_camera(tmp_path / "out" / "room.camera.json").camera
+    named, default = (
+        Rectifier(RectifyConfig(method="learned", weights=name)).calibrate([blinds()]).camera
+        for name in ("compact-wf", None)
+    )
+    assert found == named
+    assert found != default
+
+
+@pytest.mark.parametrize(
+    ("weights", "code", "message"),
+    [("enormous", 1, "'compact-wf'"), ("mine.safetensors", 2, "does not exist")],
+)
+def test_weights_that_are_not_there_are_one_line(tmp_path, capsys, weights, code, message):
+    source = save(tmp_path / "a.png")
+    options = ["--out", tmp_path / "out", "--weights", weights]
+    assert run(words("rectify", source, *options)) == code
+    said = one_line(capsys)
+    assert weights in said
+    assert message in said
 
 
 def test_sixteen_bits_stay_sixteen_bits(tmp_path):
@@ -376,6 +411,16 @@ def test_help_names_the_commands(capsys):
     said = capsys.readouterr().out
     assert "rectify" in said
     assert "calibrate" in said
+
+
+def test_the_module_runs_as_a_program(tmp_path):
+    """As `accelerate launch -m hybrid.cli` starts it."""
+    done = subprocess.run(
+        [sys.executable, "-W", "error", "-m", "hybrid.cli", "--version"],
+        capture_output=True, text=True, cwd=tmp_path, check=False,
+    )  # fmt: skip
+    assert (done.returncode, done.stderr) == (0, "")
+    assert done.stdout == f"straightlens, version {version('straightlens')}\n"
 
 
 def test_the_installed_program_runs(tmp_path):

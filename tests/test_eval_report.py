@@ -15,12 +15,13 @@ from classical.camera import KannalaBrandt
 from eval.commands import evaluate, report
 from eval.doubt import expected_error
 from eval.folder import RunFolder
-from eval.gallery import choose
+from eval.gallery import choose, network_maps
 from eval.methods import Method, method_of
 from eval.open_suite import bend, open_suite
 from eval.published import SLF
 from eval.summary import Column, MethodScores, SuiteScores, load_scores, median, paper_columns
 from eval.tables import make_table, published_table
+from hybrid import read_picture
 from learned.slf.suite import SuiteCurve, SuiteFolder, SuiteItem
 
 CAMERA = KannalaBrandt(np.array([1.1, -0.05, 0.0, 0.0, 0.0]), 80.0, 80.0, 79.5, 59.5, 160, 120)
@@ -267,6 +268,29 @@ def test_pictures_of_a_suite_can_be_left_out(finished, tmp_path):
     text = (tmp_path / "report.html").read_text(encoding="utf-8")
     assert "Fisheye photograph 000000" in text
     assert 'Fisheye photograph 0"' not in text
+
+
+def test_the_gallery_shows_what_the_network_sees_where_one_answered(
+    finished, photographs, tmp_path
+):
+    assert not list((finished / "runs").glob("*/gallery/*--heatmap.jpg"))
+    arguments = ["--suite", str(photographs), "--out", str(tmp_path), "--methods", "learned"]
+    CliRunner().invoke(evaluate, arguments, catch_exceptions=False)
+    gallery = RunFolder(tmp_path / "lenses").gallery
+    rows = json.loads((gallery / "index.json").read_text())["rows"]
+    assert {row["case"] for row in rows} == {"0", "1", "2"}
+    for row in rows:
+        files = [shown["file"] for shown in row["maps"]]
+        assert files[:2] == [f"{row['case']}--{tag}.jpg" for tag in ("heatmap", "uncertainty")]
+        assert all((gallery / file).is_file() for file in files)
+
+
+def test_maps_of_the_network_are_bright_on_lines_and_tell_doubt_as_shares_of_its_mean():
+    photo = read_picture(Path(__file__).parents[1] / "examples" / "room.jpg").pixels
+    heatmap, uncertainty = (each.values(photo) for each in network_maps())
+    assert heatmap.max() > 0.4
+    assert np.median(heatmap) < 0.05
+    assert uncertainty.mean() == pytest.approx(1 / 3, abs=1e-3)  # bright from three times its mean
 
 
 def test_an_unknown_method_is_misuse(photographs, tmp_path):

@@ -2,17 +2,23 @@
 
 import json
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
+import torch
+from small_networks import SMALL
 
 from classical.camera import KannalaBrandt
+from classical.fit import Observation, fit_lens, of_belief, of_belief_field
 from eval.metrics import aligned_error
 from hybrid import Rectifier, RectifyConfig, read_picture
 from hybrid.config import METHOD_VARIANTS
-from hybrid.fusion import VARIANTS
+from hybrid.fusion import VARIANTS, HybridConfig
 from hybrid.networks import network_belief
-from learned.predictor import LensPrediction
+from learned.larecnet import LaRecNet
+from learned.predictor import LensPrediction, Predictor
+from learned.weights import save_weights
 
 EXAMPLE = Path(__file__).parents[1] / "examples" / "room.jpg"
 
@@ -98,8 +104,9 @@ def test_a_focal_length_given_is_kept(room, truth, method):
 
 @pytest.mark.parametrize("name", ["camera_focal", "camera_fov", "circle_fov"])
 def test_impossible_knowledge_is_refused(name):
+    bad: dict[str, Any] = {name: -1.0}
     with pytest.raises(ValueError, match=f"Expected {name}"):
-        RectifyConfig(**{name: -1.0})
+        RectifyConfig(**bad)
 
 
 def test_a_circle_that_is_not_there_is_refused(room):
@@ -120,6 +127,35 @@ def test_weights_without_a_covariance_are_believed_as_far_as_lenses_differ(truth
     assert np.allclose(belief.mean, truth.normalized().to_vector())
     assert np.sqrt(belief.covariance[0, 0]) > 0.1 * truth.normalized().k[0]
     assert network_belief([LensPrediction(None, None, None)]) is None
+
+
+@pytest.mark.parametrize("doubt", [3.0, None])
+def test_weights_with_a_doubt_speak_of_the_whole_lens_and_others_of_its_field(
+    tmp_path, monkeypatch, doubt
+):
+    torch.manual_seed(0)
+    path = tmp_path / "small.safetensors"
+    save_weights(path, LaRecNet(SMALL), {} if doubt is None else {"doubt": doubt})
+    seen: list[Observation] = []
+
+    def listen(*arguments, observations, **options):
+        seen.extend(observations)
+        return fit_lens(*arguments, observations=observations, **options)
+
+    monkeypatch.setattr("hybrid.fusion.fit_lens", listen)
+    picture = np.random.default_rng(0).integers(0, 255, (96, 128, 3), dtype=np.uint8)
+    Rectifier(RectifyConfig(method="hybrid", weights=str(path))).calibrate([picture])
+    belief = network_belief([Predictor.from_weights(path).lens(picture)])
+    assert belief is not None
+    (heard,) = (each for each in seen if each.source == "network")
+    if doubt is None:
+        told = of_belief_field(belief, "network")
+        doubt = HybridConfig().field_doubt
+    else:
+        told = of_belief(belief, "network")
+    np.testing.assert_array_equal(heard.matrix, told.matrix)
+    np.testing.assert_allclose(heard.value, told.value)
+    np.testing.assert_allclose(heard.covariance, doubt**2 * told.covariance)
 
 
 def test_threads_do_not_change_the_answer(found, room):

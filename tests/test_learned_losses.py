@@ -60,6 +60,16 @@ def test_geometric_loss_counts_line_pixels_twice() -> None:
     assert got.item() == pytest.approx((2 * 0.1 + 0.2) / 2)
 
 
+def test_scaled_geometric_loss_is_the_logarithm_of_each_picture() -> None:
+    predicted = torch.tensor([[[0.3, 0.0]], [[0.5, -0.4]]])  # L_geo of 0.3 and of 0.9
+    everywhere = torch.ones(2, 1, dtype=torch.bool)
+    got = geometric_loss(
+        predicted, torch.zeros(2, 1, 2), ~everywhere, everywhere, line_weight=2.0, scale=0.3
+    )
+    # 0.3 log(1 + 1) and 0.3 log(1 + 3)
+    assert got.item() == pytest.approx(0.3 * (math.log(2) + math.log(4)) / 2)
+
+
 def test_pixel_loss_divides_by_the_uncertainty_and_adds_its_logarithm() -> None:
     rectified = torch.full((1, 3, 1, 2), 0.4)
     target = torch.zeros(1, 3, 1, 2)

@@ -111,6 +111,27 @@ def test_prediction_fits_the_picture(network: LaRecNet, height: int, width: int)
     assert lines.heatmap.shape == (round(height * scale), round(width * scale))
 
 
+@pytest.fixture(scope="module")
+def unsure() -> Predictor:
+    """With a head whose uncertainty is not the same everywhere, as it is before training."""
+    torch.manual_seed(1)
+    network = LaRecNet(SMALL)
+    torch.nn.init.normal_(network.uncertainty.last.weight, std=0.5)
+    return Predictor(network)
+
+
+@pytest.mark.parametrize(("height", "width"), SHAPES)
+def test_uncertainty_has_mean_one_over_the_networks_frame(
+    unsure: Predictor, height: int, width: int
+) -> None:
+    side = SMALL.frame // SMALL.pixel_stride
+    found = unsure.uncertainty(_picture(height, width))
+    assert found.shape == (side, side)
+    assert found.mean() == pytest.approx(1.0, abs=1e-4)
+    assert found.min() >= 0
+    assert found.std() > 0.1
+
+
 def test_same_picture_gives_the_same_answer(network: LaRecNet) -> None:
     predictor = Predictor(network)
     first, second = (predictor.lens(_picture(120, 160)) for _ in range(2))

@@ -1,3 +1,4 @@
+import math
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -148,6 +149,18 @@ def test_every_phase_gives_gradients_to_all_that_is_trained() -> None:
         loss.backward()
         wanted = [n for n, p in module.named_parameters() if p.requires_grad and p.grad is None]
         assert not wanted
+
+
+def test_geo_scale_of_the_preset_reaches_the_loss() -> None:
+    torch.manual_seed(0)
+    network, batch = LaRecNet(SMALL).eval(), grids(1, batch=1)
+
+    def geo(scale: float) -> float:
+        cfg = replace(COMPACT.loss, geo_scale=scale)
+        phase = RectificationPhase(replace(COMPACT, network=SMALL, loss=cfg))
+        return phase.loss(network, batch)[1]["geo"].item()
+
+    assert geo(0.3) == pytest.approx(0.3 * math.log(1 + geo(0.0) / 0.3), rel=1e-4)
 
 
 def test_reprojection_error_is_zero_for_the_truth_and_a_known_value_for_a_shift() -> None:

@@ -1,12 +1,14 @@
+from pathlib import Path
+
 import numpy as np
 import pytest
 
 from learned.larecnet import LaRecNet
 from learned.predictor import Predictor, RongPredictor
 from learned.rong import RongNet
-from learned.weights import load_weights, packaged
+from learned.weights import load_weights, located, packaged
 
-KINDS = {"compact": LaRecNet, "rong-compact": RongNet}
+KINDS = {"compact": LaRecNet, "compact-wf": LaRecNet, "rong-compact": RongNet}
 
 
 @pytest.fixture(scope="module")
@@ -34,9 +36,27 @@ def test_packaged_weights_pass_their_checksum_and_say_what_they_are(name: str) -
     assert {"data", "commit", "scores"} <= loaded.card.keys()
 
 
-def test_weights_that_do_not_ship_are_told() -> None:
-    with pytest.raises(FileNotFoundError, match="expected weights among"):
-        packaged("enormous")
+@pytest.mark.parametrize("name", KINDS)
+def test_a_bare_name_is_one_of_the_weights_that_ship(name: str) -> None:
+    assert located(name, "compact") == packaged(name)
+    assert located(None, name) == packaged(name)
+
+
+@pytest.mark.parametrize("path", ["mine.safetensors", "runs/compact", "./compact"])
+def test_what_is_no_bare_name_is_a_path(path: str) -> None:
+    assert located(path, "compact") == Path(path)
+
+
+def test_an_unknown_name_is_told_with_those_that_ship() -> None:
+    with pytest.raises(FileNotFoundError) as caught:
+        Predictor.from_weights("enormous")
+    assert str(caught.value) == f"expected weights among {sorted(KINDS)}, got 'enormous'"
+
+
+def test_a_path_without_a_file_is_told(tmp_path: Path) -> None:
+    path = tmp_path / "mine.safetensors"
+    with pytest.raises(FileNotFoundError, match=r"mine.*, which is not there"):
+        Predictor.from_weights(path)
 
 
 def test_bowed_edges_of_a_wall_are_found_and_even_faces_are_not(predictor: Predictor) -> None:
