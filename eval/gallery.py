@@ -39,7 +39,7 @@ class NetworkMap:
     values: Callable[[UInt8[ndarray, "h w 3"]], Float[ndarray, "_ _"]]
 
 
-_UNSURE = 3.0  # times the mean; a larger U_A looks like it
+_UNSURE = 3.0  # times the geometric mean; a larger U_A looks like it
 _WORST_SHOWN = 10.0  # pixels; larger expected errors look like it
 _SIDE = 240  # width of a picture in the report, pixels
 _QUALITY = 82
@@ -203,7 +203,7 @@ def network_maps() -> tuple[NetworkMap, ...]:
         ),
         NetworkMap(
             "uncertainty",
-            f"Where it finds the rectified picture hard: U_A, 0 to {_UNSURE:g} times its mean",
+            f"Where it finds the rectified picture hard: U_A, 0 to {_UNSURE:g} geometric means",
             lambda photo: predictor.uncertainty(photo) / _UNSURE,
         ),
     )

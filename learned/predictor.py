@@ -125,7 +125,7 @@ class Predictor:
     @torch.inference_mode()
     @_one_thread()
     def uncertainty(self, image: ndarray) -> Float[ndarray, "s s"]:
-        """U_A: where the rectified picture is hard to get right, with mean 1.
+        """U_A: where the rectified picture is hard to get right, with geometric mean 1.
 
         Args:
             image: As for `lens`.

@@ -13,10 +13,11 @@ from torch.nn import functional
 class AttentiveUncertainty(nn.Module):
     """The uncertainty map U_A from L1–L4, the fisheye picture and the rectified one.
 
-    The paper writes a channel-wise softmax; over one channel that is the constant 1. "space"
-    normalises over the pixels and scales by their number, so U_A has mean 1 and starts uniform, as
-    the paper's figure shows. "channels" takes the softmax over several channels and keeps the
-    first, which the factor `channels` brings to 1 at the start.
+    The paper writes a channel-wise softmax; over one channel that is the constant 1. "space" takes
+    it over the pixels and scales it to the geometric mean 1: log U_A has mean 0 and starts uniform,
+    as the paper's figure shows. (With the arithmetic mean held instead, L_pix is least where one
+    pixel has all of U_A, since log U_A then falls everywhere else.) "channels" takes the softmax
+    over several channels and keeps the first, which the factor `channels` brings to 1 at the start.
 
     Args:
         stages: Channels of the four stages' features.
@@ -47,7 +48,7 @@ class AttentiveUncertainty(nn.Module):
         image: Float[Tensor, "b 3 h w"],
         rectified: Float[Tensor, "b 3 h w"],
     ) -> Float[Tensor, "b 1 h w"]:
-        """U_A at the size of `image`, mean 1 (space) or 1 at the start (channels)."""
+        """U_A at the size of `image`, geometric mean 1 (space) or 1 at the start (channels)."""
         size = image.shape[-2:]
         maps = [
             functional.interpolate(conv(f), size=size, mode="bilinear", align_corners=False)
@@ -56,5 +57,4 @@ class AttentiveUncertainty(nn.Module):
         logits = self.last(torch.cat([image, rectified, *maps], 1)).float()
         if self.normalise == "channels":
             return self.channels * torch.softmax(logits, 1)[:, :1]
-        share = torch.softmax(logits.flatten(1), 1)
-        return (share * share.shape[1]).reshape(logits.shape)
+        return (logits - logits.mean((1, 2, 3), keepdim=True)).exp()

@@ -15,6 +15,7 @@ from learned.calibration import (
 from learned.config_json import from_json, to_json
 from learned.dlp import LinePerception
 from learned.larecnet import LaRecNet, LarecnetCfg
+from learned.losses import pixel_loss
 from learned.parameters import N_FREE, Parameters
 from learned.presets import ABLATIONS, COMPACT, PAPER, PRESETS, Preset, ablation, preset
 from learned.rong import RongCfg, RongNet, division_parameter
@@ -170,12 +171,28 @@ def test_every_variant_of_line_perception_gives_a_map_in_zero_to_one(
         assert map_.max() <= 1
 
 
-def test_uncertainty_starts_uniform_with_mean_one() -> None:
+def test_uncertainty_starts_uniform() -> None:
     for normalise in ("space", "channels"):
         module = AttentiveUncertainty((4, 8), width=2, normalise=normalise)
         features = (torch.rand(1, 4, 8, 8), torch.rand(1, 8, 4, 4))
         out = module(features, torch.rand(1, 3, 16, 16), torch.rand(1, 3, 16, 16))
         torch.testing.assert_close(out, torch.ones(1, 1, 16, 16))
+
+
+def test_uncertainty_gains_nothing_from_one_pixel() -> None:
+    """L_pix must not be least where one pixel has all of U_A."""
+    module = AttentiveUncertainty((4,), width=2)
+    features = (torch.rand(1, 4, 8, 8),)
+    picture = torch.zeros(1, 3, 16, 16)
+    picture[..., 3, 5] = 1.0
+    losses = []
+    for height in (0.0, 12.0):
+        torch.nn.init.zeros_(module.last.weight)
+        module.last.weight.data[0, 0, 1, 1] = height  # the first channel of the picture, as it is
+        found = module(features, picture, picture)
+        assert found.log().mean().item() == pytest.approx(0.0, abs=1e-5)
+        losses.append(pixel_loss(picture * 0.0 + 0.02, picture * 0.0, found).item())
+    assert losses[0] < losses[1]
 
 
 def test_whitening_decodes_what_it_encodes() -> None:
