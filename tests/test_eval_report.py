@@ -285,12 +285,13 @@ def test_the_gallery_shows_what_the_network_sees_where_one_answered(
         assert all((gallery / file).is_file() for file in files)
 
 
-def test_maps_of_the_network_are_bright_on_lines_and_tell_doubt_as_shares_of_its_mean():
+def test_maps_of_the_network_are_bright_on_lines_and_tell_doubt_by_its_geometric_mean():
     photo = read_picture(Path(__file__).parents[1] / "examples" / "room.jpg").pixels
     heatmap, uncertainty = (each.values(photo) for each in network_maps())
     assert heatmap.max() > 0.4
     assert np.median(heatmap) < 0.05
-    assert uncertainty.mean() == pytest.approx(1 / 3, abs=1e-3)  # bright from three times its mean
+    # bright from three times its geometric mean
+    assert np.log(3 * uncertainty).mean() == pytest.approx(0.0, abs=1e-3)
 
 
 def test_an_unknown_method_is_misuse(photographs, tmp_path):
