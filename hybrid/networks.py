@@ -9,13 +9,21 @@ from jaxtyping import Float, UInt8
 from numpy import ndarray
 
 from classical.camera import KannalaBrandt, nearest_kannala_brandt
-from classical.fit import LensPrior, fitted_curves, fused, generic_prior, predicted_error
+from classical.fit import (
+    LensPrior,
+    fitted_curves,
+    fused,
+    generic_prior,
+    predicted_error,
+    straight_share,
+)
 from classical.lines import curves_from_image
 from hybrid.config import RectifyConfig
 from hybrid.result import Calibration, Quality
 from learned.predictor import LensPrediction, Predictor, RongPredictor
 
-_TRUSTED_PX = 6.0  # expected error up to which the network alone is worth showing as it is
+_TRUSTED_PX = 3.0  # expected error up to which an answer is ok, whatever the method
+_LEAST_STRAIGHT = 0.8  # share of the curves' length; a lens that is right straightens most of them
 
 
 class LearnedEstimator:
@@ -46,9 +54,14 @@ class LearnedEstimator:
             predicted_error_px=error,
         )
         heatmaps = tuple(p.lines.lineness for p in predictions if p.lines is not None)
-        if error <= _TRUSTED_PX:
-            return Calibration(camera, curves, quality, "ok", "the network is sure", heatmaps)
-        reason = f"the network is unsure: expected error {error:.1f} px"
+        share = straight_share(curves)
+        if error > _TRUSTED_PX:
+            reason = f"the network is unsure: expected error {error:.1f} px"
+        elif share < _LEAST_STRAIGHT:
+            reason = f"the network is sure, but straightens {share:.0%} of the curves' length only"
+        else:
+            reason = "the network is sure, and curves become straight"
+            return Calibration(camera, curves, quality, "ok", reason, heatmaps)
         return Calibration(camera, curves, quality, "degraded", reason, heatmaps)
 
 

@@ -162,3 +162,31 @@ def test_threads_do_not_change_the_answer(found, room):
     alone = Rectifier(RectifyConfig(method="hybrid", threads=1)).rectify(room)
     assert alone.camera is not None
     assert np.array_equal(alone.camera.to_vector(), found.camera.to_vector())
+
+
+@pytest.mark.parametrize(
+    ("deviation", "off", "status", "reason"),
+    [
+        (1e-3, 0.0, "ok", "become straight"),
+        (0.3, 0.0, "degraded", "unsure"),
+        (1e-3, 0.45, "degraded", "of the curves' length only"),
+    ],
+)
+def test_the_network_alone_is_ok_where_it_is_sure_and_curves_become_straight(
+    monkeypatch: pytest.MonkeyPatch,
+    room: np.ndarray,
+    truth: KannalaBrandt,
+    deviation: float,
+    off: float,
+    status: str,
+    reason: str,
+) -> None:
+    vector = truth.normalized().to_vector()
+    vector[1] -= off * vector[0]
+    camera = KannalaBrandt.from_vector(vector, truth.width, truth.height)
+    covariance = np.diag([*np.full(5, deviation * vector[0]), 0.0, 1.0, 1.0, 1.0]) ** 2
+    answer = LensPrediction(camera, covariance, None)
+    monkeypatch.setattr(Predictor, "lens", lambda self, picture: answer)
+    found = Rectifier(RectifyConfig(method="learned")).calibrate([room])
+    assert found.status == status, found.reason
+    assert reason in found.reason

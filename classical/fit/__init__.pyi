@@ -13,6 +13,7 @@ from .prior import LensPrior as LensPrior
 from .prior import fused as fused
 from .prior import generic_prior as generic_prior
 from .quality import predicted_error as predicted_error
+from .quality import straight_share as straight_share
 from .result import FittedCurve as FittedCurve
 from .result import LensFit as LensFit
 from .search import SearchConfig as SearchConfig

@@ -116,10 +116,9 @@ def judge(
         camera: The estimate.
         error: `predicted_error` of it.
     """
-    every = [curve for picture in curves for curve in picture]
-    inliers = [curve for curve in every if curve.inlier]
+    inliers = [curve for picture in curves for curve in picture if curve.inlier]
     length = sum(_length(curve) for curve in inliers) / camera.width
-    share = length * camera.width / max(sum(_length(curve) for curve in every), 1e-9)
+    share = straight_share(curves)
     if len(inliers) < _FEWEST_CURVES:
         return "failed", f"only {len(inliers)} curves can be made straight, {_FEWEST_CURVES} needed"
     if not error < _HOPELESS_ERROR:
@@ -131,6 +130,13 @@ def judge(
     if error > _LARGEST_ERROR:
         return "degraded", f"the lines tell little: predicted error {error:.1f} px"
     return "ok", f"{len(inliers)} straight lines agree"
+
+
+def straight_share(curves: Sequence[Sequence[FittedCurve]]) -> float:
+    """Share of the curves' length that the lens made straight; 0 without curves."""
+    every = [curve for picture in curves for curve in picture]
+    straight = sum(_length(curve) for curve in every if curve.inlier)
+    return straight / max(sum(_length(curve) for curve in every), 1e-9)
 
 
 def _length(curve: FittedCurve) -> float:
