@@ -10,6 +10,7 @@ from numpy import ndarray
 
 from classical.camera import KannalaBrandt, nearest_kannala_brandt
 from classical.fit import (
+    LARGEST_ERROR,
     LensPrior,
     fitted_curves,
     fused,
@@ -22,7 +23,6 @@ from hybrid.config import RectifyConfig
 from hybrid.result import Calibration, Quality
 from learned.predictor import LensPrediction, Predictor, RongPredictor
 
-_TRUSTED_PX = 3.0  # expected error up to which an answer is ok, whatever the method
 _LEAST_STRAIGHT = 0.8  # share of the curves' length; a lens that is right straightens most of them
 
 
@@ -55,7 +55,7 @@ class LearnedEstimator:
         )
         heatmaps = tuple(p.lines.lineness for p in predictions if p.lines is not None)
         share = straight_share(curves)
-        if error > _TRUSTED_PX:
+        if error > LARGEST_ERROR:
             reason = f"the network is unsure: expected error {error:.1f} px"
         elif share < _LEAST_STRAIGHT:
             reason = f"the network is sure, but straightens {share:.0%} of the curves' length only"

@@ -98,6 +98,15 @@ def test_pictures_share_no_direction() -> None:
         assert len({pictures[curve] for curve in group}) == 1
 
 
+def test_a_coarse_choice_keeps_the_pictures_of_its_curves() -> None:
+    curves = short_lines(LENS, 4, np.random.default_rng(3))
+    samples = samples_of(curves, list(range(len(curves))))
+    coarse = samples.coarse(curves=5, most=6)
+    assert coarse.pictures is not None
+    longest = np.sort(np.argsort(-samples.lengths, kind="stable")[:5])
+    assert coarse.pictures.tolist() == longest.tolist()
+
+
 def test_pictures_of_one_scene_count_as_one() -> None:
     curves = short_lines(LENS, 12, np.random.default_rng(3))
     once = directions_of(samples_of(curves), LENS)

@@ -12,6 +12,7 @@ from .plumb_line import fit_lens as fit_lens
 from .prior import LensPrior as LensPrior
 from .prior import fused as fused
 from .prior import generic_prior as generic_prior
+from .quality import LARGEST_ERROR as LARGEST_ERROR
 from .quality import predicted_error as predicted_error
 from .quality import straight_share as straight_share
 from .result import FittedCurve as FittedCurve

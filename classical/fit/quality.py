@@ -10,6 +10,9 @@ from jaxtyping import Float
 from classical.camera import KannalaBrandt
 from classical.fit.result import FittedCurve, Status
 
+LARGEST_ERROR = 3.0
+"""Predicted error up to which an answer is ok, pixels of a 320 frame, f = 160 px."""
+
 _FRAME_FOCAL = 160.0  # px: a frame 320 wide, 90° across
 _WIDEST = np.radians(60.0)
 _WIDEST_COMPARED = np.radians(80.0)  # of another lens, where positions run away
@@ -102,7 +105,6 @@ def _similarities(positions: np.ndarray) -> np.ndarray:
 _FEWEST_CURVES = 4
 _LEAST_LENGTH = 1.0  # total length of straight curves, picture widths
 _LEAST_SHARE = 0.35  # of the curves' length
-_LARGEST_ERROR = 3.0  # predicted, px of the 320 frame
 _HOPELESS_ERROR = 20.0
 
 
@@ -127,7 +129,7 @@ def judge(
         return "degraded", f"few straight lines: {length:.1f} picture widths in all"
     if share < _LEAST_SHARE:
         return "degraded", f"only {share:.0%} of the curves' length could be made straight"
-    if error > _LARGEST_ERROR:
+    if error > LARGEST_ERROR:
         return "degraded", f"the lines tell little: predicted error {error:.1f} px"
     return "ok", f"{len(inliers)} straight lines agree"
 

@@ -77,7 +77,8 @@ class CurveSamples:
         counts = np.array([len(pick) for pick in picks])
         starts = np.concatenate([[0], np.cumsum(counts)[:-1]])
         spans = np.repeat(lengths[chosen] / counts, counts)
-        return CurveSamples(self.points[np.concatenate(picks)], starts, spans)
+        pictures = None if self.pictures is None else self.pictures[chosen]
+        return CurveSamples(self.points[np.concatenate(picks)], starts, spans, pictures)
 
 
 def sample_curves(
