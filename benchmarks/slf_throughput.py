@@ -20,9 +20,9 @@ from learned.slf.atlas import load_atlas
 from learned.slf.stream import SlfStream, StreamCfg
 
 SCENES = {
-    "planes (D-Wireframe)": (1.0, 0.0, 0.0),
-    "boxes": (0.0, 1.0, 0.0),
-    "panoramas": (0.0, 0.0, 1.0),
+    "planes (D-Wireframe)": (1.0, 0.0, 0.0, 0.0),
+    "boxes": (0.0, 1.0, 0.0, 0.0),
+    "panoramas": (0.0, 0.0, 1.0, 0.0),
 }
 BATCH = 8
 

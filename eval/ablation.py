@@ -40,7 +40,7 @@ _STUDY, _LOG = "study.json", "log.jsonl"
 _DLP = "dlp."
 
 _ALL = StreamCfg().scenes
-_PLANES = (1.0, 0.0, 0.0)
+_PLANES = (1.0, 0.0, 0.0, 0.0)
 _ROOMS = (0.0, *_ALL[1:])
 _SCENES = {_ALL: "all", _PLANES: "planes", _ROOMS: "rooms"}
 
@@ -60,7 +60,7 @@ class Variant:
     name: str
     trained: str
     level: str
-    scenes: tuple[float, float, float]
+    scenes: tuple[float, float, float, float]
     theirs: published.PublishedRow
 
     @property

@@ -48,11 +48,12 @@ import click
 )
 @click.option(
     "--scenes",
-    default=(0.45, 0.35, 0.2),
+    default=(0.45, 0.35, 0.2, 0.0),
     show_default=True,
-    nargs=3,
+    nargs=4,
     type=click.FloatRange(0, 1),
-    help="Shares of photographs as planes (D-Wireframe), boxes of photographs, panoramas.",
+    help="Shares of photographs as planes (D-Wireframe), boxes of photographs, panoramas, rendered "
+    "rooms.",
 )
 @click.option(
     "--wild",
@@ -83,7 +84,7 @@ def train(
     seed: int,
     ahead: int,
     samples: Path | None,
-    scenes: tuple[float, float, float],
+    scenes: tuple[float, float, float, float],
     wild: float,
     rate: float | None,
     fall: float | None,

@@ -10,8 +10,8 @@ from learned.hourglass import PyramidCfg
 from learned.larecnet import LarecnetCfg
 from learned.presets import COMPACT
 from learned.rong import RongCfg
-from learned.slf.atlas import save_atlas
-from learned.slf.pack import PHOTOGRAPH, Annotated, build_atlas
+from learned.slf.atlas import PHOTOGRAPH, save_atlas
+from learned.slf.pack import Annotated, build_atlas
 
 SMALL_DLP = DlpCfg(
     width=8,

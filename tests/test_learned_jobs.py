@@ -92,9 +92,9 @@ def test_command_trains_on_the_scenes_it_was_given(
 
     monkeypatch.setattr("learned.jobs.train", one_batch)
     words = ["rong", "--data", str(pack), "--out", str(tmp_path), "--steps", "1", "--batch", "4"]
-    scenes = ["--scenes", "0.25", "1", "0", "--wild", "0.125", "--size", "64", "--cpu"]
+    scenes = ["--scenes", "0.25", "1", "0", "0", "--wild", "0.125", "--size", "64", "--cpu"]
     CliRunner().invoke(train_command, [*words, *scenes])
-    given = StreamCfg(scenes=(0.25, 1.0, 0.0), wild_share=0.125, with_rectified=False)
+    given = StreamCfg(scenes=(0.25, 1.0, 0.0, 0.0), wild_share=0.125, with_rectified=False)
     expected = SlfStream(load_atlas(pack), 1, 4, 64, given).batch(0)
     assert torch.equal(batches[0].image, expected.image)
     assert torch.equal(batches[0].k, expected.k)
@@ -103,11 +103,12 @@ def test_command_trains_on_the_scenes_it_was_given(
 @pytest.mark.parametrize(
     ("scenes", "code", "message"),
     [
-        ("2 0 0", 2, "2.0 is not in the range"),
-        ("a 0 0", 2, "'a' is not a valid"),
-        ("1 0", 2, "requires 3 arguments"),
-        ("0 0 0", 1, "expected scenes"),
-        ("0 0 1", 1, "expected scenes"),  # a pack without panoramas
+        ("2 0 0 0", 2, "2.0 is not in the range"),
+        ("a 0 0 0", 2, "'a' is not a valid"),
+        ("1 0 0", 2, "requires 4 arguments"),
+        ("0 0 0 0", 1, "expected scenes"),
+        ("0 0 1 0", 1, "expected scenes"),  # a pack without panoramas
+        ("0 0 0 1", 1, "expected scenes"),  # nor rooms
     ],
 )
 def test_scenes_that_cannot_be_are_one_line(

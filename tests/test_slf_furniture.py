@@ -7,9 +7,10 @@ import numpy as np
 import pytest
 import torch
 
+from learned.slf.atlas import PATTERN
 from learned.slf.boxes import first_hits
 from learned.slf.optics import optics
-from learned.slf.pack import PATTERN, Annotated, build_atlas
+from learned.slf.pack import Annotated, build_atlas
 from learned.slf.patterns import USES, draw_patterns, numbers_for
 from learned.slf.rooms.catalogue import extract, read_catalogues
 from learned.slf.rooms.lines import room_geometry, room_strokes

@@ -5,9 +5,10 @@ import numpy as np
 import pytest
 import torch
 
+from learned.slf.atlas import PATTERN
 from learned.slf.boxes import first_hits
 from learned.slf.optics import optics
-from learned.slf.pack import PATTERN, Annotated, build_atlas, read_rgb
+from learned.slf.pack import Annotated, build_atlas, read_rgb
 from learned.slf.patterns import USES, draw_patterns, numbers_for
 from learned.slf.rooms.lines import room_geometry, room_strokes
 from learned.slf.rooms.render import Renderer, RoomStudio, room_job, room_lenses

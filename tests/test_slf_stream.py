@@ -5,11 +5,19 @@ import numpy as np
 import pytest
 import torch
 
-from learned.slf.atlas import load_atlas, merged_atlas, sample, save_atlas
+from learned.slf.atlas import (
+    PANORAMA,
+    PHOTOGRAPH,
+    ROOM,
+    load_atlas,
+    merged_atlas,
+    sample,
+    save_atlas,
+)
 from learned.slf.boxes import box_segments, box_visibility, render_boxes
 from learned.slf.layouts import draw_boxes
 from learned.slf.optics import optics, pixel_rays, plane_points, project, unproject
-from learned.slf.pack import PANORAMA, PHOTOGRAPH, Annotated, build_atlas
+from learned.slf.pack import Annotated, build_atlas
 from learned.slf.patterns import draw_patterns
 from learned.slf.priors import lens_prior
 from learned.slf.stream import SlfStream, StreamCfg
@@ -19,14 +27,21 @@ from learned.slf.synthesis import true_camera
 SIZE = 96
 
 
+def globes(lines):
+    """A dark panorama and a bright one of a room, both with the same lines."""
+    rng = np.random.default_rng(0)
+    for kind, low in ((PANORAMA, 0), (ROOM, 128)):
+        picture = rng.integers(low, low + 128, (64, 128, 3), dtype=np.uint8)
+        yield Annotated(picture, lines, kind)
+
+
 @pytest.fixture(scope="module")
 def atlas():
-    """Drawn textures that play all parts: photographs, patterns and a panorama."""
+    """Drawn textures that play all parts: photographs, patterns, a panorama and a room."""
     drawn = list(draw_patterns(10, seed=3))
     photographs = [dataclasses.replace(p, kind=PHOTOGRAPH) for p in drawn[:6]]
-    globe = np.random.default_rng(0).integers(0, 255, (64, 128, 3), dtype=np.uint8)
     lines = np.array([[10, 20, 40, 30], [60, 32, 90, 20]], np.float32)
-    return build_atlas([*photographs, *drawn[6:], Annotated(globe, lines, PANORAMA)])
+    return build_atlas([*photographs, *drawn[6:], *globes(lines)])
 
 
 @pytest.fixture
@@ -51,7 +66,7 @@ def test_other_seed_or_index_gives_another_batch(atlas):
     assert not torch.equal(first.image, SlfStream(atlas, 7, 2, SIZE).batch(1).image)
 
 
-@pytest.mark.parametrize("scene", [(1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)])
+@pytest.mark.parametrize("scene", [tuple(row) for row in np.eye(4).tolist()])
 def test_batch_has_the_documented_ranges(atlas, scene):
     batch = SlfStream(atlas, 1, 4, SIZE, StreamCfg(scenes=scene)).batch(0)
     for picture in (batch.image, batch.rectified, batch.line_map):
@@ -65,7 +80,7 @@ def test_batch_has_the_documented_ranges(atlas, scene):
 @pytest.mark.parametrize(("share", "expected"), [(0.0, (0, 0)), (0.25, (5, 15)), (1.0, (40, 40))])
 def test_a_share_of_the_groups_stays_without_camera_effects(atlas, share, expected):
     """Of 40 groups of two: how many are as without photometry, to the last bit."""
-    planes = (1.0, 0.0, 0.0)
+    planes = (1.0, 0.0, 0.0, 0.0)
     config = StreamCfg(planes, group=2, with_rectified=False, clean_share=share)
     image, clean = (
         SlfStream(atlas, 5, 80, 32, each).batch(0).image
@@ -76,7 +91,17 @@ def test_a_share_of_the_groups_stays_without_camera_effects(atlas, share, expect
     assert expected[0] <= int(same[:, 0].sum()) <= expected[1]
 
 
-@pytest.mark.parametrize("scenes", [(0.0, 0.0, 0.0), (0.0, 0.0, 1.0), (math.nan, 1.0, 0.0)])
+def test_panoramas_and_rooms_are_shares_of_their_own(atlas):
+    clean = StreamCfg(scenes=(0.0, 0.0, 1.0, 0.0), photometry=None)
+    rooms = dataclasses.replace(clean, scenes=(0.0, 0.0, 0.0, 1.0))
+    dark, bright = (SlfStream(atlas, 1, 4, SIZE, cfg).batch(0).image for cfg in (clean, rooms))
+    assert 0 < dark.max() < 0.51
+    assert bright[bright > 0].median() > 0.6
+
+
+@pytest.mark.parametrize(
+    "scenes", [(0.0,) * 4, (0.0, 0.0, 1.0, 0.0), (0.0, 0.0, 0.0, 1.0), (math.nan, 1.0, 0.0, 0.0)]
+)
 def test_scenes_without_a_picture_are_told_before_the_first_batch(scenes):
     flat = build_atlas([dataclasses.replace(p, kind=PHOTOGRAPH) for p in draw_patterns(2, seed=3)])
     with pytest.raises(ValueError, match="expected scenes"):

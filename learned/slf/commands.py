@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import json
 import sys
 from collections.abc import Callable
 from functools import partial
@@ -12,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 if TYPE_CHECKING:
+    from learned.slf.rooms.recipe import RoomRecipe
     from learned.slf.suite import SuiteFolder
     from learned.slf.synthesis import Made, SetCfg
 
@@ -57,6 +59,37 @@ def _set_options(
         return command
 
     return add
+
+
+def _blender_options(command: Callable[..., Any]) -> Callable[..., Any]:
+    """Options of what Blender renders."""
+    options = [
+        click.option(
+            "--blender-python",
+            default=sys.executable,
+            help="Interpreter with bpy 4.5; best an environment of its own. Default: this one.",
+        ),
+        click.option(
+            "--samples", default=4, show_default=True, type=click.IntRange(1), help="A pixel."
+        ),
+        click.option(
+            "--threads",
+            default=1,
+            show_default=True,
+            type=click.IntRange(1),
+            help="Of each Blender.",
+        ),
+        click.option(
+            "--furniture",
+            type=_EXISTING_FOLDER,
+            help="Folder of .sh3f files of Sweet Home 3D, whose models stand among the drawn "
+            "furniture; Debian's sweethome3d-furniture has /usr/share/sweethome3d/furniture.",
+        ),
+        click.option("--cc0", is_flag=True, help="Only furniture in the public domain."),
+    ]
+    for option in reversed(options):
+        command = option(command)
+    return command
 
 
 @click.group()
@@ -112,22 +145,7 @@ def panoramas(folder: Path, **options: Any) -> None:
     type=click.Choice(["equisolid", "paper", "wild"]),
     help="Equisolid is the paper's single lens.",
 )
-@click.option(
-    "--blender-python",
-    default=sys.executable,
-    help="Interpreter with bpy 4.5; best an environment of its own. Default: this one.",
-)
-@click.option("--samples", default=4, show_default=True, type=click.IntRange(1), help="A pixel.")
-@click.option(
-    "--threads", default=1, show_default=True, type=click.IntRange(1), help="Of each Blender."
-)
-@click.option(
-    "--furniture",
-    type=_EXISTING_FOLDER,
-    help="Folder of .sh3f files of Sweet Home 3D, whose models stand among the drawn furniture; "
-    "Debian's sweethome3d-furniture has /usr/share/sweethome3d/furniture.",
-)
-@click.option("--cc0", is_flag=True, help="Only furniture in the public domain.")
+@_blender_options
 @_set_options(size=320, prior=None)
 def rooms(
     blender_python: str,
@@ -138,19 +156,93 @@ def rooms(
     **options: Any,
 ) -> None:
     """Render furnished rooms and streets with a perspective twin of every picture."""
-    from learned.slf.rooms.recipe import RoomRecipe, room_of
+    from learned.slf.rooms.recipe import room_of
 
-    config = _config(options)
-    settings = {**_settings(options), "samples": samples}
-    if furniture is not None:
-        settings |= {"furniture": _catalogue_names(furniture, cc0), "cc0": cc0}
-        furniture = furniture.resolve()
-    recipe = RoomRecipe(config, blender_python, samples, threads, furniture, cc0)
-    folder = begun(options["out"], "rooms", settings)
+    recipe, furnished = _recipe(options, blender_python, samples, threads, furniture, cc0)
+    folder = begun(options["out"], "rooms", {**_settings(options), **furnished})
     try:
         finish(folder, partial(room_of, recipe), options)
     except (RuntimeError, OSError) as error:
         raise click.ClickException(str(error)) from error
+
+
+@synthesize.command("room-panoramas")
+@_blender_options
+@click.option("--out", required=True, type=click.Path(path_type=Path), help="Folder.")
+@click.option("--count", required=True, type=click.IntRange(1), help="Panoramas in the folder.")
+@click.option("--seed", default=1, show_default=True, help="Same seed, same bytes.")
+@click.option(
+    "--height",
+    default=512,
+    show_default=True,
+    type=click.IntRange(64, 4096),
+    help="Of the panoramas in pixels; they are twice as wide.",
+)
+@click.option("--workers", type=click.IntRange(1), help="Processes; default: one a core.")
+def room_panoramas(
+    blender_python: str,
+    samples: int,
+    threads: int,
+    furniture: Path | None,
+    cc0: bool,
+    out: Path,
+    count: int,
+    seed: int,
+    height: int,
+    workers: int | None,
+) -> None:
+    """Render what is all around a camera in furnished rooms and streets, for `pack --rooms`.
+
+    One panorama serves any number of lenses and poses, so it is worth many rooms of `rooms`.
+    """
+    from tqdm import tqdm
+
+    from learned.pool import WorkPool, processor_count
+    from learned.slf.rooms.recipe import make_panorama, panorama_path
+
+    options = {"prior": "none", "size": height, "seed": seed, "photometry": False}
+    recipe, furnished = _recipe(options, blender_python, samples, threads, furniture, cc0)
+    _begin_panoramas(out, {"seed": seed, "height": height, **furnished})
+    missing = [i for i in range(count) if not panorama_path(out, i).exists()]
+    bar = tqdm(total=count, initial=count - len(missing), unit="picture", disable=None)
+    try:
+        with bar, WorkPool(workers=workers or processor_count()) as pool:
+            for _ in pool.ordered(partial(make_panorama, recipe, out.resolve()), missing):
+                bar.update()
+    except (RuntimeError, OSError) as error:
+        raise click.ClickException(str(error)) from error
+
+
+def _begin_panoramas(out: Path, settings: dict[str, Any]) -> None:
+    """Write down what a folder's panoramas are made of, or see that it is the same."""
+    from learned.slf.suite import write_whole
+
+    path = out / "settings.json"
+    if not path.exists():
+        out.mkdir(parents=True, exist_ok=True)
+        write_whole(path, json.dumps(settings, indent=1).encode() + b"\n")
+    elif (found := json.loads(path.read_text())) != settings:
+        message = f"expected panoramas made with {settings}, got {found} in {out}"
+        raise click.UsageError(message)
+
+
+def _recipe(
+    options: dict[str, Any],
+    blender_python: str,
+    samples: int,
+    threads: int,
+    furniture: Path | None,
+    cc0: bool,
+) -> tuple[RoomRecipe, dict[str, Any]]:
+    """What rooms depend on, and what their folder says of it."""
+    from learned.slf.rooms.recipe import RoomRecipe
+
+    settings: dict[str, Any] = {"samples": samples}
+    if furniture is not None:
+        settings |= {"furniture": _catalogue_names(furniture, cc0), "cc0": cc0}
+        furniture = furniture.resolve()
+    recipe = RoomRecipe(_config(options), blender_python, samples, threads, furniture, cc0)
+    return recipe, settings
 
 
 def _catalogue_names(folder: Path, cc0: bool) -> list[str]:
@@ -164,6 +256,7 @@ def _catalogue_names(folder: Path, cc0: bool) -> list[str]:
 @synthesize.command()
 @click.option("--photos", type=_EXISTING_FOLDER, help="Undistorted photographs.")
 @click.option("--panoramas", "folder", type=_EXISTING_FOLDER, help="Equirectangular panoramas.")
+@click.option("--rooms", type=_EXISTING_FOLDER, help="Panoramas made by `room-panoramas`.")
 @click.option(
     "--patterns", default=400, show_default=True, type=click.IntRange(0), help="Drawn textures."
 )
@@ -171,28 +264,39 @@ def _catalogue_names(folder: Path, cc0: bool) -> list[str]:
 @click.option("--seed", default=1, show_default=True, help="Of the drawn textures.")
 @click.option("--workers", default=2, show_default=True, type=click.IntRange(1))
 def pack(
-    photos: Path | None, folder: Path | None, patterns: int, out: Path, seed: int, workers: int
+    photos: Path | None,
+    folder: Path | None,
+    rooms: Path | None,
+    patterns: int,
+    out: Path,
+    seed: int,
+    workers: int,
 ) -> None:
     """Pack photographs and panoramas with their lines, for training on the fly."""
     from tqdm import tqdm
 
-    from learned.slf.atlas import save_atlas
+    from learned.slf.atlas import PANORAMA, ROOM, save_atlas
     from learned.slf.pack import annotated_photographs, build_atlas, picture_paths
     from learned.slf.panorama_lines import annotated_panorama
     from learned.slf.patterns import draw_patterns
     from learned.slf.wireframes import with_annotations
 
-    if photos is None and folder is None and patterns == 0:
-        raise click.UsageError("expected --photos, --panoramas or --patterns, got none")
+    if photos is None and folder is None and rooms is None and patterns == 0:
+        raise click.UsageError("expected --photos, --panoramas, --rooms or --patterns, got none")
     flat = _checked(picture_paths, photos) if photos else []
-    round_ = _checked(picture_paths, folder) if folder else []
+    round_ = [
+        (path, kind)
+        for where, kind in ((folder, PANORAMA), (rooms, ROOM))
+        if where is not None
+        for path in _checked(picture_paths, where)
+    ]
     with tqdm(total=len(flat) + len(round_), unit="picture", disable=None) as bar:
 
         def pictures() -> Any:
             photographs = with_annotations(flat, photos) if photos else []
             yield from annotated_photographs(photographs, workers=workers, progress=bar.update)
-            for path in round_:
-                yield annotated_panorama(path)
+            for path, kind in round_:
+                yield annotated_panorama(path, kind=kind)
                 bar.update()
             yield from draw_patterns(patterns, seed=seed)
 

@@ -10,11 +10,10 @@ import torch
 from jaxtyping import Float, UInt8
 from numpy import ndarray
 
-from learned.slf.atlas import LEVELS, Atlas
+from learned.slf.atlas import LEVELS, PHOTOGRAPH, Atlas
 from learned.slf.segments import annotate
 from learned.slf.wireframes import Photograph, wireframe_segments
 
-PHOTOGRAPH, PATTERN, PANORAMA = 0, 1, 2
 PICTURE_SUFFIXES = (".jpg", ".jpeg", ".png", ".tif", ".tiff", ".bmp", ".webp")
 
 
@@ -25,7 +24,7 @@ class Annotated:
     Attributes:
         image: RGB bytes.
         segments: (u1, v1, u2, v2) in pixels.
-        kind: 0 photograph, 1 drawn pattern, 2 panorama.
+        kind: `PHOTOGRAPH`, `PATTERN`, `PANORAMA` or `ROOM` of `learned.slf.atlas`.
     """
 
     image: UInt8[ndarray, "h w 3"]

@@ -6,7 +6,8 @@ import numpy as np
 from jaxtyping import Float, UInt8
 from numpy import ndarray
 
-from learned.slf.pack import PANORAMA, Annotated, read_rgb
+from learned.slf.atlas import PANORAMA
+from learned.slf.pack import Annotated, read_rgb
 from learned.slf.segments import AnnotationCfg, annotate
 
 CUT_HALF_FIELD = np.radians(40.0)
@@ -18,7 +19,7 @@ _LONGEST_ARC = np.radians(150.0)
 _ROUNDS = 3
 
 
-def annotated_panorama(path: Path, *, width: int = 2048) -> Annotated:
+def annotated_panorama(path: Path, *, width: int = 2048, kind: int = PANORAMA) -> Annotated:
     """Read a panorama, at most `width` pixels wide, and find its straight lines.
 
     Raises:
@@ -32,7 +33,7 @@ def annotated_panorama(path: Path, *, width: int = 2048) -> Annotated:
         raise ValueError(f"{expected}, got {image.shape[1]}x{image.shape[0]} in {path}")
     if image.shape[1] > width:
         image = cv2.resize(image, (width, width // 2), interpolation=cv2.INTER_AREA)
-    return Annotated(image, panorama_segments(image), PANORAMA)
+    return Annotated(image, panorama_segments(image), kind)
 
 
 def panorama_segments(image: UInt8[ndarray, "h w 3"]) -> Float[ndarray, "n 4"]:

@@ -11,7 +11,8 @@ import numpy as np
 from jaxtyping import UInt8
 from numpy import ndarray
 
-from learned.slf.pack import PATTERN, Annotated
+from learned.slf.atlas import PATTERN
+from learned.slf.pack import Annotated
 
 _SIZES = ((384, 512), (448, 448), (512, 384), (320, 640))
 _MOST_SEGMENTS = 120

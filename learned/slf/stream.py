@@ -3,9 +3,9 @@
 Batch i depends on the seed and on i only, so that a stopped training goes on with the same samples.
 """
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
-from functools import lru_cache
+from functools import lru_cache, partial
 from itertools import pairwise
 
 import numpy as np
@@ -13,7 +13,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from learned.slf.atlas import Atlas
+from learned.slf.atlas import PANORAMA, PATTERN, PHOTOGRAPH, ROOM, Atlas
 from learned.slf.batch import SlfBatch
 from learned.slf.boxes import Boxes, box_segments, box_visibility, render_boxes
 from learned.slf.layouts import LayoutCfg, PoseCfg, draw_boxes, draw_rotations
@@ -26,9 +26,10 @@ from learned.slf.priors import lens_prior
 from learned.slf.rectify import rectified
 from learned.slf.strokes import Strokes, bent_strokes, draw_line_map
 
-PHOTOGRAPH, PATTERN, PANORAMA = 0, 1, 2
-_PLANES, _BOXES, _VIEWS = 0, 1, 2
+_PLANES, _BOXES, _VIEWS, _ROOMS = range(4)
+_KINDS = (PHOTOGRAPH, PHOTOGRAPH, PANORAMA, ROOM)
 _BLOCK = 64
+Content = Planes | Boxes | Views
 
 
 @dataclass(frozen=True)
@@ -36,8 +37,8 @@ class StreamCfg:
     """Mixture of training samples.
 
     Attributes:
-        scenes: Weights of photograph planes (D-Wireframe), boxes of photographs, panorama cuts; a
-            scene without pictures in the atlas is left out.
+        scenes: Weights of photograph planes (D-Wireframe), boxes of photographs, cuts of panoramas,
+            cuts of panoramas of rendered rooms; a scene without pictures in the atlas is left out.
         wild_share: Weight of the `wild` prior in boxes and panoramas, the rest is `paper`. Planes
             always take `paper`: a flat photograph cannot fill a wider lens.
         shortest_px: Bent lines shorter than this are not drawn.
@@ -52,7 +53,7 @@ class StreamCfg:
         with_rectified: Whether to make the rectified ground truth; zeros otherwise.
     """
 
-    scenes: tuple[float, float, float] = (0.45, 0.35, 0.2)
+    scenes: tuple[float, float, float, float] = (0.45, 0.35, 0.2, 0.0)
     wild_share: float = 0.8
     shortest_px: float = 12.0
     photometry: PhotometryCfg | None = field(default_factory=PhotometryCfg)
@@ -87,7 +88,7 @@ class SlfStream:
         if not sum(self._weights()) > 0:  # nor where one is NaN
             raise ValueError(
                 "expected scenes that the pack has pictures for, got the weights "
-                f"{self.config.scenes} of planes, boxes and panoramas"
+                f"{self.config.scenes} of planes, boxes, panoramas and rooms"
             )
 
     def __iter__(self) -> Iterator[SlfBatch]:
@@ -125,7 +126,7 @@ class SlfStream:
         scene, lens = self._lenses(first, last)
         clean = lens.vector.new_empty((last - first, 3, self.size, self.size))
         strokes = []
-        for kind, draw in ((_PLANES, self._planes), (_BOXES, self._boxes), (_VIEWS, self._views)):
+        for kind, draw in self._draws():
             rows = torch.from_numpy(np.nonzero(scene == kind)[0]).to(clean.device)
             if len(rows):
                 content, runs = draw(rng, lens[rows])
@@ -144,9 +145,16 @@ class SlfStream:
         flat = flat.expand_as(clean)
         return SlfBatch(image, line_map, lens.vector, flat, lens.theta_max), lines
 
-    def _render(
-        self, content: Planes | Boxes | Views, lens: Optics, out: Tensor, rows: Tensor
-    ) -> None:
+    def _draws(self) -> list[tuple[int, Callable[..., tuple[Content, Strokes]]]]:
+        """Every scene and what draws it."""
+        return [
+            (_PLANES, self._planes),
+            (_BOXES, self._boxes),
+            (_VIEWS, partial(self._views, kind=PANORAMA)),
+            (_ROOMS, partial(self._views, kind=ROOM)),
+        ]
+
+    def _render(self, content: Content, lens: Optics, out: Tensor, rows: Tensor) -> None:
         """Clean pictures in [0, 1] into rows of `out`, so many at a time as fit the caches."""
         oversampling = self.config.oversampling
         tables = ray_tables(lens, oversampling=oversampling)
@@ -176,10 +184,11 @@ class SlfStream:
         rows = slice(first - blocks[0] * _BLOCK, last - blocks[0] * _BLOCK)
         return scene[rows], optics(lenses[rows], size=self.size, device=self.atlas.texels.device)
 
-    def _weights(self) -> Float[np.ndarray, "3"]:
-        """Weights of planes, boxes and panoramas; 0 where the atlas has no picture for them."""
-        kinds = (PHOTOGRAPH, PHOTOGRAPH, PANORAMA)
-        return np.array(self.config.scenes, float) * [len(self.atlas.of_kind(k)) > 0 for k in kinds]
+    def _weights(self) -> Float[np.ndarray, "4"]:
+        """Weights of the scenes; 0 where the atlas has no picture for them."""
+        return np.array(self.config.scenes, float) * [
+            len(self.atlas.of_kind(k)) > 0 for k in _KINDS
+        ]
 
     def _planes(self, rng: np.random.Generator, lens: Optics) -> tuple[Planes, Strokes]:
         photographs = self.atlas.of_kind(PHOTOGRAPH)
@@ -200,8 +209,8 @@ class SlfStream:
         )
         return boxes, lines
 
-    def _views(self, rng: np.random.Generator, lens: Optics) -> tuple[Views, Strokes]:
-        panoramas = self.atlas.of_kind(PANORAMA)
+    def _views(self, rng: np.random.Generator, lens: Optics, *, kind: int) -> tuple[Views, Strokes]:
+        panoramas = self.atlas.of_kind(kind)
         like = lens.vector
         chosen = torch.from_numpy(rng.integers(0, len(panoramas), len(lens))).to(like.device)
         rotation = torch.as_tensor(
@@ -252,7 +261,7 @@ def joined_strokes(parts: list[tuple[Strokes, Tensor]]) -> Strokes:
     )
 
 
-def _some_of(content: Planes | Boxes | Views, rows: Tensor) -> Planes | Boxes | Views:
+def _some_of(content: Content, rows: Tensor) -> Content:
     """Some samples of a scene, whose tensors all have one row a sample."""
     return type(content)(**{name: value[rows] for name, value in vars(content).items()})
 

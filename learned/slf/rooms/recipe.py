@@ -8,7 +8,14 @@ from functools import lru_cache
 from pathlib import Path
 
 from learned.slf.rooms.catalogue import read_catalogues
-from learned.slf.rooms.render import Renderer, RoomStudio, make_room, open_studio
+from learned.slf.rooms.render import (
+    Renderer,
+    RoomStudio,
+    make_room,
+    make_room_panorama,
+    open_studio,
+)
+from learned.slf.suite import write_png
 from learned.slf.synthesis import Made, SetCfg
 
 
@@ -36,6 +43,18 @@ class RoomRecipe:
 def room_of(recipe: RoomRecipe, index: int) -> Made:
     """Room `index` of a recipe, by this process's studio."""
     return make_room(_studio(recipe), index, recipe.config)
+
+
+def make_panorama(recipe: RoomRecipe, folder: Path, index: int) -> None:
+    """Write panorama `index` of a recipe into a folder; its height is the recipe's size."""
+    config = recipe.config
+    image = make_room_panorama(_studio(recipe), index, config.seed, config.size)
+    write_png(panorama_path(folder, index), image)
+
+
+def panorama_path(folder: Path, index: int) -> Path:
+    """Where panorama `index` lies."""
+    return folder / f"{index:06d}.png"
 
 
 @lru_cache(maxsize=1)

@@ -10,14 +10,14 @@ from types import TracebackType
 
 import numpy as np
 import torch
-from jaxtyping import Float
+from jaxtyping import Float, UInt8
 from numpy import ndarray
 
-from learned.slf.atlas import Atlas
+from learned.slf.atlas import PATTERN, Atlas
 from learned.slf.layouts import draw_rotations
 from learned.slf.lenses import LensBatch, frame_theta_max
 from learned.slf.optics import Optics, optics
-from learned.slf.pack import PATTERN, Annotated, build_atlas, read_rgb
+from learned.slf.pack import Annotated, build_atlas, read_rgb
 from learned.slf.patterns import USES, draw_patterns, numbers_for
 from learned.slf.photometry import photographed
 from learned.slf.priors import lens_prior
@@ -32,6 +32,7 @@ from learned.slf.suite import SuiteItem, write_png
 from learned.slf.synthesis import Made, SetCfg, line_bytes, suite_curves, true_camera
 
 _ROOMS = 13
+_PANORAMAS = 14
 _PATTERNS = 44
 _SHORTEST_SHARE = 0.04
 _POSE_TRIES = 5
@@ -205,6 +206,31 @@ def make_room(studio: RoomStudio, index: int, config: SetCfg) -> Made:
     return Made(item, fisheye, straight, line_bytes(strokes, config.size))
 
 
+def make_room_panorama(
+    studio: RoomStudio, index: int, seed: int, height: int
+) -> UInt8[ndarray, "h 2*h 3"]:
+    """Draw a room or a street and render all that is around a level camera in it.
+
+    Args:
+        studio: Textures and renderer.
+        index: Number of the panorama.
+        seed: Of the set.
+        height: In pixels; the panorama is twice as wide.
+
+    Returns:
+        Equirectangular, as `learned.slf.panoramas` reads it.
+    """
+    rng = np.random.default_rng([seed, _PANORAMAS, index])
+    sizes = studio.furniture.sizes if studio.furniture else ()
+    scene = draw_scene(rng, {use: numbers_for(use, len(studio.paths)) for use in USES}, sizes)
+    level = replace(scene, rotation=np.eye(3))
+    with tempfile.TemporaryDirectory(prefix="room-") as folder:
+        path = Path(folder) / "panorama.png"
+        job = scene_job(level, studio, index, seed, height)
+        studio.renderer.render({**job, "panorama": str(path)})
+        return read_rgb(path)
+
+
 def _pose_with_lines(
     rng: np.random.Generator, studio: RoomStudio, scene: RoomScene, job: dict, lens: Optics
 ) -> tuple[RoomScene, Strokes, Segments3D]:
@@ -255,10 +281,6 @@ def room_job(
     pictures: list[Path],
 ) -> dict:
     """The scene, the lens and the files as plain numbers."""
-    n = len(scene.centre)
-    shell = [-1, -1, -1, int(scene.shell_material[3]), -1, -1]
-    shell = shell if scene.is_open else scene.shell_material.tolist()
-    faces = [shell, *np.repeat(scene.material[:, None], 6, axis=1).tolist()]
     vector = lenses.vector[0]
     names = ("k1", "k2", "k3", "k4", "k5")
     lens = {
@@ -270,6 +292,16 @@ def room_job(
         "circle": float(min(lenses.circle[0], 1e3)),
         "half_height": float(lenses.half_height[0]),
     }
+    files = {"fisheye": str(pictures[0]), "straight": str(pictures[1])}
+    return {**scene_job(scene, studio, index, config.seed, config.size), "lens": lens, **files}
+
+
+def scene_job(scene: RoomScene, studio: RoomStudio, index: int, seed: int, size: int) -> dict:
+    """The scene as plain numbers, without lens and files; pictures are `size` high."""
+    n = len(scene.centre)
+    shell = [-1, -1, -1, int(scene.shell_material[3]), -1, -1]
+    shell = shell if scene.is_open else scene.shell_material.tolist()
+    faces = [shell, *np.repeat(scene.material[:, None], 6, axis=1).tolist()]
     arrays = {name: np.asarray(value).tolist() for name, value in vars(scene).items()}
     arrays["centre"] = [[0.0, 0.0, 0.0], *arrays["centre"]]
     arrays["half"] = [arrays["shell"], *arrays["half"]]
@@ -277,15 +309,12 @@ def room_job(
     assert len(faces) == n + 1
     return {
         "index": index,
-        "key": [config.seed, index],
-        "seed": int(np.random.default_rng([config.seed, index]).integers(2**31)),
-        "size": config.size,
+        "key": [seed, index],
+        "seed": int(np.random.default_rng([seed, index]).integers(2**31)),
+        "size": size,
         "scene": {**arrays, "face_material": faces},
         "models": studio.furniture.job(scene) if studio.furniture else [],
         "patterns": studio.paths,
-        "lens": lens,
-        "fisheye": str(pictures[0]),
-        "straight": str(pictures[1]),
     }
 
 

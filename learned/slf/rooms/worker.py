@@ -5,8 +5,8 @@ project: Blender wants an older NumPy than the rest, and a crash of it costs one
 
     python worker.py < jobs
 
-A job names the scene's arrays, the lens and the two pictures to write, or rays to trace in the
-scene; see `render.py`.
+A job names the scene's arrays, the lens and the two pictures to write, or one panorama, or rays to
+trace in the scene; see `render.py`.
 """
 
 import json
@@ -278,8 +278,8 @@ def panorama(tree, direction, names, scene):
     return sky.outputs["Color"]
 
 
-def set_camera(job, *, fisheye):
-    """The polynomial lens as a shader, or the protocol's pinhole of the same pose."""
+def set_camera(job, kind):
+    """The polynomial lens as a shader, the protocol's pinhole of the same pose, or all around."""
     data = bpy.data.cameras.new("camera")
     data.clip_start, data.clip_end = 0.01, 1000.0
     item = bpy.data.objects.new("camera", data)
@@ -290,8 +290,11 @@ def set_camera(job, *, fisheye):
     pose[:3, :3], pose[:3, 3] = axes, to_blender(job["scene"]["position"])
     item.matrix_world = mathutils.Matrix(pose.tolist())
     bpy.context.scene.camera = item
-    if not fisheye:
+    if kind == "straight":
         data.sensor_width, data.lens = 2.0, 1.0
+        return
+    if kind == "panorama":
+        data.type, data.panorama_type = "PANO", "EQUIRECTANGULAR"
         return
     data.type, data.custom_mode = "CUSTOM", "INTERNAL"
     text = bpy.data.texts.new("lens.osl")
@@ -318,7 +321,8 @@ def set_renderer(job):
     cycles.pixel_filter_type, cycles.filter_width = "BLACKMAN_HARRIS", 1.2
     cycles.caustics_reflective = cycles.caustics_refractive = False
     render = scene.render
-    render.resolution_x = render.resolution_y = job["size"]
+    render.resolution_y = job["size"]
+    render.resolution_x = (2 if "panorama" in job else 1) * job["size"]
     render.resolution_percentage = 100
     render.use_persistent_data = True
     render.threads_mode, render.threads = "FIXED", job["threads"]
@@ -349,7 +353,7 @@ def metered():
 
 
 def run(job):
-    """Render both pictures of a job."""
+    """Render the pictures of a job; the first one sets the exposure."""
     clear()
     scene = job["scene"]
     materials = [build_material(i, job) for i in range(len(scene["colour"]))]
@@ -358,12 +362,13 @@ def run(job):
     build_lights(scene)
     set_renderer(job)
     view = bpy.context.scene.view_settings
-    for fisheye, path in ((True, job["fisheye"]), (False, job["straight"])):
-        set_camera(job, fisheye=fisheye)
+    kinds = ("panorama",) if "panorama" in job else ("fisheye", "straight")
+    for kind in kinds:
+        set_camera(job, kind)
         bpy.ops.render.render()
-        if fisheye:
+        if kind == kinds[0]:
             view.exposure = scene["exposure"] + metered()
-        save(path, "PNG", "8")
+        save(job[kind], "PNG", "8")
 
 
 def main():
