@@ -17,6 +17,9 @@ import click
 from hybrid.failures import words_of
 
 COMMAND_GROUP = "straightlens.commands"
+_COMMANDS = {"assess": "learned.commands:assess"}
+"""Commands that work in a checkout that was installed before they were added, too."""
+
 MISUSE, FAILURE, INTERRUPTED = 2, 1, 130
 
 
@@ -41,7 +44,8 @@ class LazyGroup(click.Group):
 
 
 def _registered() -> dict[str, EntryPoint]:
-    return {entry.name: entry for entry in entry_points(group=COMMAND_GROUP)}
+    known = (EntryPoint(name, place, COMMAND_GROUP) for name, place in _COMMANDS.items())
+    return {entry.name: entry for entry in (*known, *entry_points(group=COMMAND_GROUP))}
 
 
 def _unavailable(name: str, message: str) -> click.Command:

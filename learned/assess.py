@@ -2,21 +2,47 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
 
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from learned.dlp import LinePerception
 from learned.larecnet import LaRecNet
 from learned.letterbox import resized
 from learned.parameters import FREE
 from learned.phases import detection_counts, reprojection_errors
 from learned.rectification import rectify_images
+from learned.rong import RongNet
+from learned.slf.atlas import load_atlas
 from learned.slf.batch import SlfBatch
+from learned.slf.stream import SlfStream, StreamCfg
+from learned.weights import save_weights
+
+BATCH = 8
+"""Samples a batch, here and in the reports of a training; samples depend on it."""
+
+VALIDATION_SIZE = 320
+"""Side of their frame in pixels, whatever the network's own."""
+
+TEMPERATURE_BATCHES = 24
+"""Batches by which the temperature is fitted."""
+
+VALIDATIONS = {
+    "D-Wireframe validation, prior paper, clean": StreamCfg(
+        scenes=(1.0, 0.0, 0.0, 0.0), photometry=None
+    ),
+    "mixed validation, priors paper and wild, camera effects": StreamCfg(),
+}
+"""Samples that every LaRecNet is scored on, whatever it was trained on, by their name in cards."""
 
 _NORMAL_90 = 1.6449  # half width of the 90 % interval of a normal, in standard deviations
+_VALIDATION_SEED, _TEMPERATURE_SEED = 20_001, 777
+_READABLE = 0o644
 
 
 @dataclass(frozen=True)
@@ -104,3 +130,85 @@ def fit_temperature(network: LaRecNet, batches: Iterable[SlfBatch]) -> float:
     factor = float((found.scores.abs().quantile(0.9, dim=0) / _NORMAL_90).median())
     network.calibration.temperature.mul_(factor)
     return factor
+
+
+def validation_batches(
+    pack: Path, count: int, size: int, data: StreamCfg, *, device: str = "cpu"
+) -> Iterator[SlfBatch]:
+    """Samples of a validation pack, the same whenever they are asked for.
+
+    Args:
+        pack: Pictures that were not trained on.
+        count: Batches of `BATCH`.
+        size: Side of the square frame in pixels.
+        data: Mixture of scenes and lenses.
+        device: Where the samples are made.
+
+    Raises:
+        ValueError: If the pack has no pictures for any of the scenes.
+    """
+    stream = SlfStream(load_atlas(pack).to(device), _VALIDATION_SEED, BATCH, size, data)
+    return (stream.batch(index) for index in range(count))
+
+
+def temperature_batches(pack: Path, size: int, data: StreamCfg) -> Iterator[SlfBatch]:
+    """Samples for `fit_temperature`.
+
+    Args:
+        pack: Pictures of the training.
+        size: Side of the square frame in pixels, that of the training.
+        data: Mixture of the training.
+
+    Raises:
+        ValueError: If the pack has no pictures for any of the scenes.
+    """
+    stream = SlfStream(load_atlas(pack), _TEMPERATURE_SEED, BATCH, size, data)
+    return (stream.batch(index) for index in range(TEMPERATURE_BATCHES))
+
+
+def write_scored(
+    path: Path,
+    network: LaRecNet | LinePerception | RongNet,
+    card: dict[str, Any],
+    scores: dict[str, Any],
+) -> None:
+    """Write weights with a card that tells these scores, and the temperature they hold with.
+
+    Args:
+        path: `….safetensors`, see `save_weights`; all may read it.
+        network: The scored network.
+        card: What else is known; entries but scores and temperature stay as they are.
+        scores: Figures, or named sets of them.
+    """
+    told = {**card, "scores": scores}
+    if isinstance(network, LaRecNet) and network.cfg.calibration.covariance:
+        told["temperature"] = round(float(network.calibration.temperature), 4)
+    save_weights(path, network, told)
+    path.chmod(_READABLE)
+
+
+_ROWS = (
+    ("RPE, mean (px)", "rpe_mean_px", ".2f"),
+    ("RPE, median (px)", "rpe_median_px", ".2f"),
+    ("RPE, 90th percentile (px)", "rpe_p90_px", ".2f"),
+    ("PSNR (dB)", "psnr_db", ".2f"),
+    ("F of the heatmap's lines", "line_f", ".3f"),
+    ("90 % intervals that hold", "held_90", ".3f"),
+    ("  least held parameter", "held_90_lowest", ".3f"),
+    ("  most held parameter", "held_90_highest", ".3f"),
+    ("samples", "samples", ".0f"),
+)
+
+
+def scores_text(scores: dict[str, dict[str, float]]) -> str:
+    """Scores as a table of text: a row a figure, a column a set; a dash where there is none."""
+    head = [name.partition(",")[0] for name in scores]
+    width = max(len(title) for title, _, _ in _ROWS)
+    lines = [" " * width + "".join(f"  {title}" for title in head)]
+    for title, key, form in _ROWS:
+        cells = [
+            f"{format(found[key], form) if key in found else '–':>{len(name) + 2}}"
+            for found, name in zip(scores.values(), head, strict=True)
+        ]
+        lines.append(f"{title:<{width}}" + "".join(cells))
+    return "\n".join(lines)

@@ -1,10 +1,38 @@
-"""The command `straightlens train`. Torch is imported when a training starts, not before."""
+"""The commands `straightlens train` and `assess`. Torch is imported when one starts, not before."""
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Iterator
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
+from click.core import ParameterSource
+from tqdm import tqdm
+
+if TYPE_CHECKING:
+    from learned.slf.batch import SlfBatch
+
+_PACK = click.Path(exists=True, dir_okay=False, path_type=Path)
+_SCENES = (0.45, 0.35, 0.2, 0.0)
+_WILD = 0.8
+
+scenes_option = click.option(
+    "--scenes",
+    default=_SCENES,
+    show_default=True,
+    nargs=4,
+    type=click.FloatRange(0, 1),
+    help="Shares of photographs as planes (D-Wireframe), boxes of photographs, panoramas, rendered "
+    "rooms.",
+)
+wild_option = click.option(
+    "--wild",
+    default=_WILD,
+    show_default=True,
+    type=click.FloatRange(0, 1),
+    help="Share of the prior `wild` in boxes and panoramas.",
+)
 
 
 @click.command()
@@ -19,12 +47,12 @@ import click
     "--data",
     "pack",
     required=True,
-    type=click.Path(exists=True, dir_okay=False, path_type=Path),
+    type=_PACK,
     help="Training pictures, a pack made by `straightlens synthesize`.",
 )
 @click.option(
     "--validation",
-    type=click.Path(exists=True, dir_okay=False, path_type=Path),
+    type=_PACK,
     help="Another pack, for the reports during training.",
 )
 @click.option("--out", "folder", required=True, type=click.Path(path_type=Path), help="Run folder.")
@@ -46,22 +74,8 @@ import click
     type=click.Path(file_okay=False, path_type=Path),
     help="Where these samples are kept; default: OUT/samples. Runs may share them.",
 )
-@click.option(
-    "--scenes",
-    default=(0.45, 0.35, 0.2, 0.0),
-    show_default=True,
-    nargs=4,
-    type=click.FloatRange(0, 1),
-    help="Shares of photographs as planes (D-Wireframe), boxes of photographs, panoramas, rendered "
-    "rooms.",
-)
-@click.option(
-    "--wild",
-    default=0.8,
-    show_default=True,
-    type=click.FloatRange(0, 1),
-    help="Share of the prior `wild` in boxes and panoramas.",
-)
+@scenes_option
+@wild_option
 @click.option("--rate", type=float, help="Learning rate, instead of the preset's.")
 @click.option("--fall", type=click.FloatRange(0, 1), help="Share of the run with a falling rate.")
 @click.option("--resume/--no-resume", default=True, show_default=True)
@@ -135,3 +149,98 @@ def train(
         ),
     )
     click.echo(run_job(job, resume=resume, cpu=cpu))
+
+
+@click.command()
+@click.argument("weights", metavar="WEIGHTS")
+@click.option(
+    "--validation",
+    required=True,
+    type=_PACK,
+    help="Pictures that were not trained on, a pack made by `straightlens synthesize`.",
+)
+@click.option(
+    "--data",
+    "pack",
+    type=_PACK,
+    help="The pack of the training: fit the temperature of the predicted spread on it first.",
+)
+@scenes_option
+@wild_option
+@click.option(
+    "--samples", default=96, show_default=True, help="Of each validation, a multiple of 8."
+)
+@click.option(
+    "--out",
+    type=click.Path(dir_okay=False, path_type=Path),
+    help="Write the weights here with a card that has the new scores; ….safetensors.",
+)
+@click.option("--overwrite", is_flag=True, help="Replace files that exist.")
+@click.pass_context
+def assess(
+    context: click.Context,
+    weights: str,
+    validation: Path,
+    pack: Path | None,
+    scenes: tuple[float, float, float, float],
+    wild: float,
+    samples: int,
+    out: Path | None,
+    overwrite: bool,
+) -> None:
+    """Score a LaRecNet as its model card does: a file, or the name of weights that ship.
+
+    The samples are the same for all weights: planes with lenses of the prior `paper`, clean, and
+    the default mixture of `train` with camera effects. --scenes and --wild say what the training
+    was made of and matter to --data alone.
+    """
+    _check_output(weights, out, overwrite)
+    given = {context.get_parameter_source(name) for name in ("scenes", "wild")}
+    if pack is None and ParameterSource.COMMANDLINE in given:
+        raise click.UsageError("--scenes and --wild need --data, the pack of the training")
+    from learned import assess as assessment
+    from learned.larecnet import LaRecNet
+    from learned.slf.stream import StreamCfg
+    from learned.weights import load_weights, located
+
+    if samples < 1 or samples % assessment.BATCH:
+        raise click.UsageError(f"expected --samples of {assessment.BATCH} each, got {samples}")
+    loaded = load_weights(located(weights, "compact"), LaRecNet)
+    network = loaded.network
+    if pack is not None and not network.cfg.calibration.covariance:
+        raise click.UsageError(f"--data is for weights that predict a spread; {weights} do not")
+    if pack is not None:
+        mixture = StreamCfg(scenes=scenes, wild_share=wild)
+        batches = assessment.temperature_batches(pack, network.cfg.frame, mixture)
+        total = assessment.TEMPERATURE_BATCHES
+        assessment.fit_temperature(network, _shown("temperature", batches, total))
+        click.echo(f"temperature {float(network.calibration.temperature):.4f}")
+    count = samples // assessment.BATCH
+    scores = {}
+    for name, mixture in assessment.VALIDATIONS.items():
+        batches = assessment.validation_batches(
+            validation, count, assessment.VALIDATION_SIZE, mixture
+        )
+        found = assessment.assess(network, _shown(name, batches, count)).summary()
+        scores[name] = {key: round(value, 4) for key, value in found.items()}
+    click.echo(assessment.scores_text(scores))
+    if out is not None:
+        assessment.write_scored(out, network, loaded.card, scores)
+        click.echo(out)
+
+
+def _check_output(weights: str, out: Path | None, overwrite: bool) -> None:
+    """Misuse if the new weights cannot or must not be where they shall be."""
+    if out is None:
+        return
+    if out.suffix != ".safetensors":
+        raise click.UsageError(f"expected --out to end in .safetensors, got {out.name}")
+    if out.resolve() == Path(weights).resolve():
+        raise click.UsageError(f"{out} is an input; choose another --out")
+    if out.exists() and not overwrite:
+        raise click.UsageError(f"{out} exists; use --overwrite to replace")
+
+
+def _shown(title: str, batches: Iterable[SlfBatch], total: int) -> Iterator[SlfBatch]:
+    """The batches, with progress on stderr."""
+    yield from tqdm(batches, desc=title.partition(",")[0], total=total, unit="batch", disable=None)

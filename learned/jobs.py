@@ -14,7 +14,7 @@ import torch
 from accelerate import PartialState
 from torch import nn
 
-from learned.assess import fit_temperature
+from learned.assess import BATCH, fit_temperature, validation_batches, write_scored
 from learned.dlp import LinePerception
 from learned.larecnet import LaRecNet
 from learned.phases import DivisionPhase, PerceptionPhase, RectificationPhase
@@ -28,11 +28,10 @@ from learned.slf.batch import SlfBatch
 from learned.slf.priors import lens_prior
 from learned.slf.stream import SlfStream, StreamCfg
 from learned.train import Phase, RunCfg, averaged, train
-from learned.weights import load_perception, load_weights, save_weights
+from learned.weights import load_perception, load_weights
 
 Target = Literal["dlp", "larecnet", "rong"]
 WEIGHTS = "weights.safetensors"
-_VALIDATION_SEED = 20_001
 _PRIOR_SAMPLES = 8000
 _OTHER_SEED = 1_000_003
 _TEMPERATURE_BATCHES = 32
@@ -98,7 +97,7 @@ def run_job(job: JobCfg, *, resume: bool, cpu: bool = False, progress: bool = Tr
     stream = SlfStream(atlas, job.seed, job.batch_size, job.size, stream_cfg)
     validation = _validation(job, stream_cfg, device)
     network, phase, optim = _network(job)
-    other = replace(stream, seed=job.seed + _OTHER_SEED, batch_size=8)
+    other = replace(stream, seed=job.seed + _OTHER_SEED, batch_size=BATCH)
     average = train(
         network,
         phase,
@@ -118,7 +117,7 @@ def run_job(job: JobCfg, *, resume: bool, cpu: bool = False, progress: bool = Tr
     if isinstance(best, LaRecNet) and best.cfg.calibration.covariance:
         fit_temperature(best, (other.batch(i) for i in range(_TEMPERATURE_BATCHES)))
     scores = phase.report(best, validation)[0] if validation else {}
-    save_weights(path, best, training_card(job, scores))
+    write_scored(path, best, training_card(job), scores)
     return path
 
 
@@ -184,13 +183,12 @@ def _needs_rectified(job: JobCfg) -> bool:
 def _validation(job: JobCfg, data: StreamCfg, device: str) -> Sequence[SlfBatch]:
     if job.validation is None:
         return []
-    atlas = load_atlas(job.validation).to(device)
-    stream = SlfStream(atlas, _VALIDATION_SEED, 8, job.size, data)
-    return [stream.batch(i) for i in range(job.validation_batches)]
+    count = job.validation_batches
+    return list(validation_batches(job.validation, count, job.size, data, device=device))
 
 
-def training_card(job: JobCfg, scores: dict[str, float]) -> dict[str, Any]:
-    """What is known of a training."""
+def training_card(job: JobCfg) -> dict[str, Any]:
+    """What is known of a training before its weights are scored."""
     return {
         "target": job.target,
         "preset": job.preset.name,
@@ -205,7 +203,6 @@ def training_card(job: JobCfg, scores: dict[str, float]) -> dict[str, Any]:
         "init": str(job.init.name) if job.init else "none",
         "commit": _commit(),
         "date": datetime.now(UTC).strftime("%Y-%m-%d"),
-        "scores": scores,
     }
 
 
