@@ -15,8 +15,10 @@ from eval import plots, published
 from eval.export import score_rows, summary_rows, to_csv
 from eval.folder import RunFolder
 from eval.summary import (
+    Column,
     SuiteScores,
     camera_columns,
+    fov_columns,
     load_scores,
     median,
     paper_columns,
@@ -98,21 +100,7 @@ def _suite_page(suite: SuiteScores, folder: RunFolder, *, show: bool) -> dict[st
         "origins": _origins(suite),
         "n": len(suite.names),
         "fov": f"{suite.fov.min():.0f}° to {suite.fov.max():.0f}°",
-        "tables": [
-            make_table(
-                "Protocol 1, paper: pinhole of f = 160 px, as estimated",
-                suite,
-                paper_columns("paper"),
-            ),
-            make_table(
-                "Protocol 2, aligned: after the best similarity", suite, paper_columns("aligned")
-            ),
-            make_table(
-                "Protocol 3, straightness; and angles, failures, time",
-                suite,
-                straightness_columns(),
-            ),
-        ],
+        "tables": [make_table(caption, suite, columns) for caption, columns in _tables(suite)],
         "real": make_table("Protocol 4, real cameras: all photographs", suite, camera_columns())
         if suite.is_real
         else None,
@@ -134,6 +122,13 @@ def _suite_page(suite: SuiteScores, folder: RunFolder, *, show: bool) -> dict[st
         "by": by,
         "failures": _failures(suite),
     }
+
+
+def _tables(suite: SuiteScores) -> Iterator[tuple[str, Sequence[Column]]]:
+    """Captions and columns of a suite's tables."""
+    yield from _PROTOCOLS
+    if columns := fov_columns(suite.fov):
+        yield "By horizontal field of view: median error in px (pictures in brackets)", columns
 
 
 def _figures(suite: SuiteScores) -> Iterator[dict[str, str]]:

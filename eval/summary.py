@@ -4,6 +4,7 @@ import json
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -13,6 +14,9 @@ from numpy import ndarray
 from eval.folder import RunFolder
 from eval.lines import MatchCounts
 from eval.methods import EVERY, IDENTITY, METHODS, Method, method_of
+
+_BINS, _LEAST_BIN, _LEAST_BINNED = 4, 8, 24  # ranges of the field of view, photographs
+_ROUND = 5.0  # degrees
 
 
 @dataclass(frozen=True)
@@ -174,6 +178,54 @@ def camera_columns() -> tuple[Column, ...]:
         Column("Worse than left alone", ".0%", _worse_share),
         Column("Failed", ".0f", lambda row, _: float(row.failed.sum()), ""),
     )
+
+
+def fov_columns(fov: Float[ndarray, " n"]) -> tuple[Column, ...]:
+    """Median errors by field of view; none where there is nothing to tell apart.
+
+    Args:
+        fov: Horizontal field of view of each photograph in degrees.
+    """
+    bins = fov_bins(fov)
+
+    def of(title: str, key: str, inside: Bool[ndarray, " n"]) -> Column:
+        return Column(title, ".2f", lambda row, _: median(row.values(key, "rpe")[inside]))
+
+    return tuple(
+        of(f"{error}, {words} ({inside.sum()})", key, inside)
+        for key, error in (("paper", "RPE"), ("aligned", "Aligned"))
+        for words, inside in bins
+    )
+
+
+def fov_bins(fov: Float[ndarray, " n"]) -> list[tuple[str, Bool[ndarray, " n"]]]:
+    """About four ranges of the field of view with as many photographs each, in words and masks.
+
+    Edges are quantiles rounded to 5 degrees; of a range with fewer than `_LEAST_BIN` photographs
+    the edge to its smaller neighbour is dropped. None where one range would be left, or where there
+    are fewer than `_LEAST_BINNED` photographs.
+    """
+    if len(fov) < _LEAST_BINNED:
+        return []
+    quantiles = np.nanquantile(fov, np.linspace(0, 1, _BINS + 1)[1:-1])
+    edges = sorted({float(_ROUND * round(edge / _ROUND)) for edge in quantiles})
+    while edges:
+        counts = [int(inside.sum()) for inside in _between(fov, edges)]
+        smallest = int(np.argmin(counts))
+        if counts[smallest] >= _LEAST_BIN:
+            break
+        around = {at: counts[at] for at in (smallest - 1, smallest + 1) if 0 <= at < len(counts)}
+        edges.pop(min(smallest, min(around, key=around.__getitem__)))
+    if not edges:
+        return []
+    middle = [f"{low:.0f}–{high:.0f}°" for low, high in pairwise(edges)]
+    words = [f"under {edges[0]:.0f}°", *middle, f"{edges[-1]:.0f}° up"]
+    return list(zip(words, _between(fov, edges), strict=True))
+
+
+def _between(fov: Float[ndarray, " n"], edges: Sequence[float]) -> list[Bool[ndarray, " n"]]:
+    ends = [-np.inf, *edges, np.inf]
+    return [(fov >= low) & (fov < high) for low, high in pairwise(ends)]
 
 
 def focal_error_of(row: MethodScores, _: SuiteScores) -> float:

@@ -19,7 +19,16 @@ from eval.gallery import choose, network_maps
 from eval.methods import Method, method_of
 from eval.open_suite import bend, open_suite
 from eval.published import SLF
-from eval.summary import Column, MethodScores, SuiteScores, load_scores, median, paper_columns
+from eval.summary import (
+    Column,
+    MethodScores,
+    SuiteScores,
+    fov_bins,
+    fov_columns,
+    load_scores,
+    median,
+    paper_columns,
+)
 from eval.tables import make_table, published_table
 from hybrid import read_picture
 from learned.slf.suite import SuiteCurve, SuiteFolder, SuiteItem
@@ -139,6 +148,53 @@ def test_the_best_of_a_column_is_marked_and_dashes_are_not():
     table = make_table("t", SuiteScores({}, ("a",), rows), (small, nothing))
     assert table.head == ("x",)
     assert [cells[0].best for _, _, cells in table.rows] == [False, True, False]
+
+
+@pytest.mark.parametrize(
+    ("fov", "expected"),
+    [
+        # quartiles 74.75, 94.5 and 114.25
+        (np.arange(55.0, 135.0), [("under 75°", 20), ("75–95°", 20), ("95–115°", 20)]),
+        # 120° is in the range that begins there
+        (np.repeat([100.0, 120.0], 20), [("under 120°", 20)]),
+        # three of 30 at 140°, too few for a range
+        (np.repeat([60.0, 90.0, 140.0], [17, 10, 3]), [("under 90°", 17)]),
+        (np.full(100, 121.0), []),
+        (np.linspace(60, 180, 23), []),
+        (np.concatenate([np.full(30, 100.0), [160.0] * 7]), []),
+    ],
+)
+def test_ranges_of_the_field_of_view_hold_enough_pictures_each(fov, expected):
+    found = fov_bins(fov)
+    assert [(words, int(inside.sum())) for words, inside in found[:-1]] == expected
+    if found:
+        assert sum(inside.sum() for _, inside in found) == len(fov)
+        assert np.sum([inside for _, inside in found], axis=0).max() == 1
+        assert min(inside.sum() for _, inside in found) >= 8
+        assert found[-1][0].endswith("° up")
+
+
+def test_errors_by_field_of_view_are_medians_of_its_pictures():
+    fov = np.repeat([70.0, 110.0], 12)
+    row = scores_of(*np.where(fov < 100, 3.0, 1.0) + np.tile([0.0, 0.0, 9.0], 8))
+    suite = SuiteScores({}, tuple(str(i) for i in range(24)), (row, row))
+    table = make_table("t", suite, fov_columns(fov))
+    assert table.head[1::2] == ("RPE, 110° up (12)", "Aligned, 110° up (12)")
+    assert [cell.text for cell in table.rows[0][2]] == ["3.00", "1.00", "3.00", "1.00"]
+    assert fov_columns(fov[:20]) == ()
+
+
+def test_the_report_has_a_table_by_field_of_view(finished, tmp_path, monkeypatch):
+    words = "By horizontal field of view"
+    assert words not in (finished / "report" / "report.md").read_text(encoding="utf-8")
+    monkeypatch.setattr("eval.summary._LEAST_BIN", 1)
+    monkeypatch.setattr("eval.summary._LEAST_BINNED", 3)
+    arguments = [str(finished / "runs"), "--out", str(tmp_path)]
+    CliRunner().invoke(report, arguments, catch_exceptions=False)
+    for name in ("report.html", "report.md"):
+        text = (tmp_path / name).read_text(encoding="utf-8")
+        assert text.count(f"{words}: median") >= 1
+        assert text.count("Aligned, under") == 1  # the drawn set has one lens
 
 
 def test_median_ignores_what_is_unknown():
