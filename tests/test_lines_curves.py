@@ -17,7 +17,8 @@ from classical.lines import (
 )
 from classical.lines.circle import fit_circles
 from classical.lines.joining import sampson_rays
-from classical.lines.smooth import SmoothConfig, fit_arcs, smooth_arcs
+from classical.lines.pieces import fit_arcs
+from classical.lines.smooth import SmoothConfig, smooth_arcs
 
 WIDTH, HEIGHT = 480, 400
 LENS = KannalaBrandt.centred(np.array([0.75, -0.03, 0.0, 0.0, 0.0]), WIDTH, HEIGHT)

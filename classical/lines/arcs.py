@@ -17,6 +17,7 @@ from classical.lines.circle import on_border_circle
 from classical.lines.continuation import ContinuationConfig, continue_arcs
 from classical.lines.curve import Curve
 from classical.lines.edges import EdgePoints
+from classical.lines.pieces import fit_by_length
 from classical.lines.rejection import (
     RejectionConfig,
     Surround,
@@ -24,7 +25,7 @@ from classical.lines.rejection import (
     beside_surround,
     impossible_bend,
 )
-from classical.lines.smooth import SmoothConfig, fit_by_length, inliers, smooth_arcs
+from classical.lines.smooth import SmoothConfig, inliers, smooth_arcs
 from classical.lines.snap import SnapConfig, snap_to_edges
 
 _MIN_SIGMA = 0.05  # pixels; no edge is placed better

@@ -2,8 +2,7 @@
 
 The image of a straight line under a lens is smooth and bends to one side only. Each piece is
 therefore fitted by a low-order polynomial in its arc length; a piece whose points leave the
-polynomial, or that bends both ways, is cut in two and tried again. All pieces are fitted at once:
-the sums of the normal equations are taken by `np.add.reduceat` over one long array of points.
+polynomial, or that bends both ways, is cut in two and tried again.
 """
 
 from __future__ import annotations
@@ -12,7 +11,8 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
-from numpy.polynomial import legendre
+
+from classical.lines.pieces import ArcFit, fit_by_length, gather_ranges
 
 _ROUNDS = 9
 
@@ -39,27 +39,6 @@ class SmoothConfig:
     max_rms: float = 0.35
     max_distance: float = 1.2
     max_counter_bend: float = 0.6
-
-
-@dataclass(frozen=True)
-class ArcFit:
-    """Polynomials through pieces of points.
-
-    Attributes:
-        distance: Signed distance of each point across its polynomial, shape (m,).
-        tangents: Unit tangents of the polynomial, shape (m, 2).
-        curvature: Signed curvature of the polynomial, 1 / pixels, shape (m,).
-        spacing: Arc length that each point stands for, pixels, shape (m,).
-        rms: Root mean square distance of each piece, shape (p,).
-        largest: Largest distance of each piece, shape (p,).
-    """
-
-    distance: Float[np.ndarray, " m"]
-    tangents: Float[np.ndarray, "m 2"]
-    curvature: Float[np.ndarray, " m"]
-    spacing: Float[np.ndarray, " m"]
-    rms: Float[np.ndarray, " p"]
-    largest: Float[np.ndarray, " p"]
 
 
 def smooth_arcs(
@@ -95,70 +74,6 @@ def smooth_arcs(
     return gather_ranges(starts[order], stops[order])
 
 
-def gather_ranges(starts: np.ndarray, stops: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Indices of all ranges one after another, and the offsets of the ranges in them."""
-    lengths = stops - starts
-    offsets = np.concatenate([[0], np.cumsum(lengths)]).astype(np.int64)
-    selected = np.arange(offsets[-1]) + np.repeat(starts - offsets[:-1], lengths)
-    return selected, offsets
-
-
-def fit_arcs(
-    points: Float[np.ndarray, "m 2"], offsets: Int[np.ndarray, " p1"], *, degree: int
-) -> ArcFit:
-    """Fit each piece by a polynomial in its arc length, all at once.
-
-    Args:
-        points: Points in order along pieces of at least degree + 1 points, shape (m, 2).
-        offsets: Piece p is points[offsets[p] : offsets[p + 1]], shape (p + 1,).
-        degree: Degree of the polynomials u(s), v(s).
-    """
-    first, lengths = offsets[:-1], np.diff(offsets)
-    label = np.repeat(np.arange(len(first)), lengths)
-    position, total = arc_length(points, offsets)
-    local = 2 * position / np.maximum(total, 1e-9)[label] - 1
-    centred = points - points[first][label]
-    basis = legendre.legvander(local, degree)
-    slope = legendre.legvander(local, degree - 1) @ legendre.legder(np.eye(degree + 1))
-    normal = np.add.reduceat(basis[:, :, None] * basis[:, None, :], first)
-    right = np.add.reduceat(basis[:, :, None] * centred[:, None, :], first)
-    normal += 1e-9 * lengths[:, None, None] * np.eye(degree + 1)
-    coefficients = np.linalg.solve(normal, right)[label]
-    fitted = np.einsum("mi,mij->mj", basis, coefficients)
-    first_derivative = np.einsum("mi,mij->mj", slope, coefficients)
-    speed = np.maximum(np.hypot(*first_derivative.T), 1e-9)
-    tangents = first_derivative / speed[:, None]
-    gap = centred - fitted
-    distance = tangents[:, 0] * gap[:, 1] - tangents[:, 1] * gap[:, 0]
-    if degree > 1:
-        bend = legendre.legvander(local, degree - 2) @ legendre.legder(np.eye(degree + 1), 2)
-        second = np.einsum("mi,mij->mj", bend, coefficients)
-        turned = first_derivative[:, 0] * second[:, 1] - first_derivative[:, 1] * second[:, 0]
-        curvature = turned / speed**3
-    else:
-        curvature = np.zeros(len(points))
-    rms = np.sqrt(np.add.reduceat(distance**2, first) / np.maximum(lengths - degree - 1, 1))
-    largest = np.maximum.reduceat(np.abs(distance), first)
-    spacing = (total / np.maximum(lengths - 1, 1))[label]
-    return ArcFit(distance, tangents, curvature, spacing, rms, largest)
-
-
-def fit_by_length(points: Float[np.ndarray, "m 2"], offsets: Int[np.ndarray, " p1"]) -> ArcFit:
-    """Fit each piece by the polynomial that its number of points allows; see `fit_arcs`."""
-    lengths = np.diff(offsets)
-    degrees = polynomial_degrees(lengths)
-    m, p = len(points), len(lengths)
-    fit = ArcFit(np.zeros(m), np.zeros((m, 2)), np.zeros(m), np.zeros(m), np.zeros(p), np.zeros(p))
-    for degree in np.unique(degrees):
-        chosen = np.flatnonzero(degrees == degree)
-        selected, local = gather_ranges(offsets[chosen], offsets[chosen + 1])
-        part = fit_arcs(points[selected], local, degree=int(degree))
-        fit.distance[selected], fit.tangents[selected] = part.distance, part.tangents
-        fit.curvature[selected], fit.spacing[selected] = part.curvature, part.spacing
-        fit.rms[chosen], fit.largest[chosen] = part.rms, part.largest
-    return fit
-
-
 def inliers(
     points: Float[np.ndarray, "m 2"],
     offsets: Int[np.ndarray, " p1"],
@@ -176,32 +91,27 @@ def inliers(
         factor: Distances up to this many medians of the piece's distances are near.
         rounds: Of fitting without the points that were found to be far.
     """
-    label = np.repeat(np.arange(len(offsets) - 1), np.diff(offsets))
     keep = np.ones(len(points), dtype=bool)
+    changed = np.arange(len(offsets) - 1)  # pieces whose polynomial is not known yet
     for _ in range(rounds):
-        counts = np.bincount(label[keep], minlength=len(offsets) - 1)
-        local = np.concatenate([[0], np.cumsum(counts)])
-        distance = np.abs(fit_by_length(points[keep], local).distance)
-        order = np.lexsort((distance, label[keep]))
-        median = distance[order][local[:-1] + counts // 2]
-        near = distance <= np.maximum(floor, factor * median)[label[keep]]
-        keep[np.flatnonzero(keep)[~near]] = False
+        selected, _ = gather_ranges(offsets[changed], offsets[changed + 1])
+        selected = selected[keep[selected]]
+        local = np.searchsorted(selected, np.append(offsets[changed], len(points)))
+        distance = np.abs(fit_by_length(points[selected], local).distance)
+        limit = np.maximum(floor, factor * _medians(distance, local))
+        far = distance > np.repeat(limit, np.diff(local))
+        keep[selected[far]] = False
+        changed = changed[np.logical_or.reduceat(far, local[:-1])]
+        if not len(changed):
+            break
     return keep
 
 
-def arc_length(points: np.ndarray, offsets: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Arc length from the start of each piece at each point, and of each piece as a whole."""
-    steps = np.zeros(len(points))
-    steps[1:] = np.hypot(*np.diff(points, axis=0).T)
-    steps[offsets[:-1]] = 0.0
-    running = np.cumsum(steps)
-    position = running - np.repeat(running[offsets[:-1]], np.diff(offsets))
-    return position, position[offsets[1:] - 1]
-
-
-def polynomial_degrees(lengths: np.ndarray) -> np.ndarray:
-    """Degree of the polynomial for pieces of so many points."""
-    return np.select([lengths < 24, lengths < 120], [2, 3], 5)
+def _medians(values: np.ndarray, offsets: np.ndarray) -> np.ndarray:
+    """The middle value of each piece, the upper of two."""
+    middle = np.diff(offsets) // 2
+    ranges = zip(offsets[:-1].tolist(), offsets[1:].tolist(), middle.tolist(), strict=True)
+    return np.array([np.partition(values[a:b], k)[k] for a, b, k in ranges])
 
 
 def _judge(
@@ -210,44 +120,50 @@ def _judge(
     """Which pieces are smooth arcs, and where to cut each that is not."""
     selected, offsets = gather_ranges(starts, stops)
     fit = fit_by_length(points[selected], offsets)
-    counter, turning_point = counter_bend(fit, offsets)
+    rise, against = counter_bend(fit)
     near = (fit.rms <= config.max_rms) & (fit.largest <= config.max_distance)
-    cut = starts + np.where(near, turning_point, _kink(fit.distance, offsets))
-    return near & (counter <= config.max_counter_bend), cut
+    good = near & (rise <= config.max_counter_bend)
+    cut = starts.copy()
+    for pieces, place, quantity in (
+        (np.flatnonzero(near & ~good), _turning_point, against),
+        (np.flatnonzero(~near), _kink, fit.distance),
+    ):
+        if len(pieces):
+            inside, local = gather_ranges(offsets[pieces], offsets[pieces + 1])
+            cut[pieces] += place(quantity[inside], local)
+    return good, cut
 
 
-def counter_bend(fit: ArcFit, offsets: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Rise of the part of each piece that bends the other way, and where the bend changes.
+def counter_bend(fit: ArcFit) -> tuple[Float[np.ndarray, " p"], Bool[np.ndarray, " m"]]:
+    """Rise of the part of each piece that bends the other way, and which points are in it.
 
     A part of length L that turns by α rises about L α / 8 above its chord.
     """
-    first = offsets[:-1]
-    turn = fit.curvature * fit.spacing
-    left = np.add.reduceat(np.maximum(turn, 0), first)
-    right = np.add.reduceat(np.maximum(-turn, 0), first)
+    first, lengths, curvature = fit.offsets[:-1], np.diff(fit.offsets), fit.curvature
+    left = np.add.reduceat(np.maximum(curvature, 0), first)
+    right = -np.add.reduceat(np.minimum(curvature, 0), first)
     side = np.where(left >= right, 1.0, -1.0)
-    label = np.repeat(np.arange(len(first)), np.diff(offsets))
-    against = fit.curvature * side[label] < 0
-    length = np.add.reduceat(np.where(against, fit.spacing, 0.0), first)
-    rise = np.minimum(left, right) * length / 8
-    # change of side nearest to the middle of the piece
+    against = curvature * np.repeat(side, lengths) < 0
+    count = np.add.reduceat(against, first, dtype=np.int64)
+    return np.minimum(left, right) * count * fit.spacing**2 / 8, against
+
+
+def _turning_point(against: np.ndarray, offsets: np.ndarray) -> np.ndarray:
+    """Where the bend changes its side nearest to the middle, as an index into each piece."""
+    lengths = np.diff(offsets)
     change = np.zeros(len(against), dtype=bool)
     change[1:] = against[1:] != against[:-1]
-    change[first] = False
-    index = np.arange(len(against)) - first[label]
-    middle = (np.diff(offsets) // 2)[label]
-    key = np.where(change, np.abs(index - middle), len(against))
-    nearest = _arg_first_min(key, offsets)
-    return rise, nearest
+    change[offsets[:-1]] = False
+    from_middle = np.arange(len(against)) - np.repeat(offsets[:-1] + lengths // 2, lengths)
+    return _arg_first_min(np.where(change, np.abs(from_middle), len(against)), offsets)
 
 
 def _kink(distance: np.ndarray, offsets: np.ndarray) -> np.ndarray:
     """Where the points leave their polynomial most sharply, as an index into each piece."""
     lengths = np.diff(offsets)
-    label = np.repeat(np.arange(len(lengths)), lengths)
-    reach = np.maximum(4, lengths // 8)[label]
+    reach = np.repeat(np.maximum(4, lengths // 8), lengths)
     here = np.arange(len(distance))
-    low, high = offsets[:-1][label], offsets[1:][label] - 1
+    low, high = np.repeat(offsets[:-1], lengths), np.repeat(offsets[1:] - 1, lengths)
     before, after = np.maximum(here - reach, low), np.minimum(here + reach, high)
     sharp = np.abs(distance[before] - 2 * distance + distance[after])
     inside = (here - low >= reach) & (high - here >= reach)
@@ -257,13 +173,9 @@ def _kink(distance: np.ndarray, offsets: np.ndarray) -> np.ndarray:
 def _arg_first_min(values: np.ndarray, offsets: np.ndarray) -> np.ndarray:
     """Index into each piece of its first smallest value."""
     first = offsets[:-1]
-    label = np.repeat(np.arange(len(first)), np.diff(offsets))
     smallest = np.minimum.reduceat(values, first)
-    hits = np.flatnonzero(values == smallest[label])
-    unique_label, position = np.unique(label[hits], return_index=True)
-    out = np.zeros(len(first), dtype=np.int64)
-    out[unique_label] = hits[position] - first[unique_label]
-    return out
+    hits = np.flatnonzero(values == np.repeat(smallest, np.diff(offsets)))
+    return hits[np.searchsorted(hits, first)] - first
 
 
 def _cut_at_corners(
@@ -275,7 +187,7 @@ def _cut_at_corners(
     selected, offsets = gather_ranges(starts[long_enough], stops[long_enough])
     if not len(selected):
         return starts[:0], stops[:0]
-    turn = _turning(points[selected], offsets, reach)
+    turn = _turning(points[selected], offsets, reach, config.corner_angle)
     peak = turn > config.corner_angle
     peak[1:] &= turn[1:] > turn[:-1]
     peak[:-1] &= turn[:-1] >= turn[1:]
@@ -287,14 +199,20 @@ def _cut_at_corners(
     return np.sort(new_starts), np.sort(new_stops)
 
 
-def _turning(points: np.ndarray, offsets: np.ndarray, reach: int) -> np.ndarray:
-    """Angle between the chords to the points `reach` before and after; 0 near the ends."""
+def _turning(points: np.ndarray, offsets: np.ndarray, reach: int, least: float) -> np.ndarray:
+    """Angle between the chords to the points `reach` before and after.
+
+    It is 0 near the ends, and where it is below `least`, which needs no arctangent to tell.
+    """
     lengths = np.diff(offsets)
-    label = np.repeat(np.arange(len(lengths)), lengths)
     here = np.arange(len(points))
-    low, high = offsets[:-1][label], offsets[1:][label] - 1
+    low, high = np.repeat(offsets[:-1], lengths), np.repeat(offsets[1:] - 1, lengths)
     before, after = np.maximum(here - reach, low), np.minimum(here + reach, high)
-    a, b = points - points[before], points[after] - points
-    turn = np.arctan2(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0], (a * b).sum(axis=1))
-    near_end = (here - low < reach // 2) | (high - here < reach // 2)
-    return np.where(near_end, 0.0, np.abs(turn))
+    u, v = np.array(points.T, order="C")
+    a_u, a_v, b_u, b_v = u - u[before], v - v[before], u[after] - u, v[after] - v
+    across, along = np.abs(a_u * b_v - a_v * b_u), a_u * b_u + a_v * b_v
+    sharp = np.cos(least) * across >= np.sin(least) * along
+    sharp &= (here - low >= reach // 2) & (high - here >= reach // 2)
+    turn = np.zeros(len(points))
+    turn[sharp] = np.arctan2(across[sharp], along[sharp])
+    return turn

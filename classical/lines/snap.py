@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from classical.lines.edges import step_per_gradient
-from classical.lines.smooth import arc_length, fit_by_length, gather_ranges
+from classical.lines.pieces import arc_length, fit_by_length, gather_ranges
 
 _TILE = 1024  # columns of the array that is handed to cv2.remap
 _TINY = 1e-6
