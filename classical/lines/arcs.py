@@ -7,6 +7,7 @@ a line is dropped, and positions are refined on the full picture.
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,7 +18,7 @@ from classical.lines.circle import on_border_circle
 from classical.lines.continuation import ContinuationConfig, continue_arcs
 from classical.lines.curve import Curve
 from classical.lines.edges import EdgePoints
-from classical.lines.pieces import fit_by_length
+from classical.lines.pieces import fit_by_length, ranked
 from classical.lines.rejection import (
     RejectionConfig,
     Surround,
@@ -52,7 +53,7 @@ class Arcs:
 
     def taken(self, selected: Int[np.ndarray, " k"], offsets: Int[np.ndarray, " q1"]) -> Arcs:
         """Other pieces, made of the points `selected`."""
-        return Arcs(self.points[selected], self.contrast[selected], offsets)
+        return Arcs(self.points.take(selected, axis=0), self.contrast[selected], offsets)
 
     def chosen(self, keep: Bool[np.ndarray, " p"]) -> Arcs:
         """The pieces for which `keep` holds."""
@@ -83,7 +84,9 @@ def link_arcs(
 ) -> Arcs:
     """Points linked, cut into smooth arcs and joined."""
     chains = link_points(source, directed=directed, min_points=smooth.min_points)
-    arcs = Arcs(source.points[chains.order], source.contrast[chains.order], chains.offsets)
+    arcs = Arcs(
+        source.points.take(chains.order, axis=0), source.contrast[chains.order], chains.offsets
+    )
     arcs = arcs.taken(*smooth_arcs(arcs.points, arcs.offsets, config=smooth))
     return arcs.taken(*continue_arcs(arcs.points, arcs.offsets, config=continuation))
 
@@ -122,12 +125,13 @@ def finish_curves(
         arcs = _refined(arcs, full, 1.5 * pixels, refinement)
     near = inliers(arcs.points, arcs.offsets, floor=_OUTLIER_FLOOR * pixels)
     arcs = arcs.only(near)
-    rms_of_arcs = fit_by_length(arcs.points, arcs.offsets).rms
-    curves = []
-    for rms, start, stop in zip(rms_of_arcs, arcs.offsets[:-1], arcs.offsets[1:], strict=True):
-        level = float(np.median(arcs.contrast[start:stop]))
-        strength = level / (level + _HALF_CONTRAST)
-        curves.append(Curve(arcs.points[start:stop], max(float(rms), _MIN_SIGMA), strength))
+    sigma = np.maximum(fit_by_length(arcs.points, arcs.offsets).rms, _MIN_SIGMA)
+    counts = np.diff(arcs.offsets)
+    low, high = (ranked(arcs.contrast, arcs.offsets, k // 2) for k in (counts - 1, counts))
+    level = (low + high) / 2
+    strength = level / (level + _HALF_CONTRAST)
+    pieces = zip(itertools.pairwise(arcs.offsets.tolist()), sigma, strength, strict=True)
+    curves = [Curve(arcs.points[a:b], float(s), float(t)) for (a, b), s, t in pieces]
     return sorted(curves, key=lambda curve: -curve.length)
 
 

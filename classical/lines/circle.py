@@ -76,22 +76,27 @@ def fit_circles(
     Kåsa's fit draws short arcs inwards; over 20° and more with edges good to a fraction of a pixel
     the error is below a hundredth of the radius.
     """
-    first, label = offsets[:-1], np.repeat(np.arange(len(offsets) - 1), np.diff(offsets))
-    counts = np.diff(offsets)[:, None]
-    mean = np.add.reduceat(points, first) / counts
-    rel = points - mean[label]
-    scale = np.sqrt((np.add.reduceat(rel**2, first) / counts).sum(axis=1))
-    rel = rel / scale[label][:, None]
-    squared = (rel**2).sum(axis=1)
-    design = np.column_stack([rel, np.ones(len(rel))])
-    normal = np.add.reduceat(design[:, :, None] * design[:, None, :], first)
-    right = np.add.reduceat(design * squared[:, None], first)
-    # straight curves make it singular; a little regularisation sends their radius far away
-    normal += 1e-9 * counts[:, :, None] * np.eye(3)
-    solution = np.linalg.solve(normal, right[:, :, None])[:, :, 0]
-    centre = solution[:, :2] / 2
-    radius = np.sqrt(np.maximum(solution[:, 2] + (centre**2).sum(axis=1), 1e-12))
-    return mean + centre * scale[:, None], radius * scale
+    first, counts = offsets[:-1], np.diff(offsets)
+    x, y = np.array(points.T, order="C")
+    middle_x, middle_y = (np.add.reduceat(row, first) / counts for row in (x, y))
+    x -= np.repeat(middle_x, counts)
+    y -= np.repeat(middle_y, counts)
+    squared = x * x + y * y
+    size = np.add.reduceat(squared, first) / counts  # x and y are in units of its root
+    # x and y sum to zero, so two of the three equations have two unknowns; straight curves make
+    # them singular; a little regularisation sends their radius far away
+    xx, xy = (np.add.reduceat(x * row, first) / size for row in (x, y))
+    yy = counts - xx + 1e-9 * counts
+    xx = xx + 1e-9 * counts
+    right_x, right_y = (np.add.reduceat(row * squared, first) / size**1.5 for row in (x, y))
+    determinant = 2 * (xx * yy - xy * xy)
+    centre_x = (right_x * yy - right_y * xy) / determinant
+    centre_y = (right_y * xx - right_x * xy) / determinant
+    offset = 1 / (1 + 1e-9)
+    radius = np.sqrt(np.maximum(offset + centre_x * centre_x + centre_y * centre_y, 1e-12))
+    scale = np.sqrt(size)
+    centres = np.stack([middle_x + centre_x * scale, middle_y + centre_y * scale], axis=1)
+    return centres, radius * scale
 
 
 def _mostly(flags: np.ndarray, offsets: np.ndarray) -> np.ndarray:

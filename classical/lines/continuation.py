@@ -54,18 +54,21 @@ def continue_arcs(
         offsets: Offsets of the joined arcs, shape (q + 1,).
     """
     order = np.arange(len(points))
-    outward = _outward(points, offsets[:-1], offsets[1:])
+    outward = _outward(points, order, offsets[:-1], offsets[1:])
+    near = _near_ends(points, offsets, config.max_gap)
     fresh = np.ones(len(offsets) - 1, dtype=bool)  # arcs whose pairs were not tried yet
     for _ in range(config.rounds):
-        pairs = _disjoint(_continuing_pairs(points, offsets, outward, fresh, config))
+        tried = near[:, fresh[near % max(len(fresh), 1)].any(axis=0)]
+        pairs = _disjoint(_continuing_pairs(points, order, offsets, outward, tried, config))
         if not len(pairs.first):
             break
         left = np.delete(np.arange(len(fresh)), pairs.second)
+        near = _free_ends(near, pairs, left)
         selected, offsets = _joined(offsets, pairs, left)
-        order, points = order[selected], points[selected]
+        order = order[selected]
         fresh = np.isin(left, pairs.first)
         outward = outward[:, left]
-        outward[:, fresh] = _outward(points, offsets[:-1][fresh], offsets[1:][fresh])
+        outward[:, fresh] = _outward(points, order, offsets[:-1][fresh], offsets[1:][fresh])
     return order, offsets
 
 
@@ -79,6 +82,81 @@ class _Pairs(NamedTuple):
 
     def chosen(self, keep: np.ndarray) -> _Pairs:
         return _Pairs(*(column[keep] for column in self))
+
+
+def _near_ends(points: np.ndarray, offsets: np.ndarray, reach: float) -> np.ndarray:
+    """All pairs of ends no farther apart: those of arc a are a and, its stop, a + p; (2, k)."""
+    if len(offsets) < 2:
+        return np.empty((2, 0), dtype=np.int64)
+    ends = points[np.concatenate([offsets[:-1], offsets[1:] - 1])]
+    return np.ascontiguousarray(KDTree(ends).query_pairs(reach, output_type="ndarray").T)
+
+
+def _free_ends(near: np.ndarray, pairs: _Pairs, left: np.ndarray) -> np.ndarray:
+    """The pairs of ends of which none was joined, as ends of the arcs that are left."""
+    count = len(left)
+    end = np.full((2, count + len(pairs.second)), -1)
+    end[:, left] = np.arange(2 * count).reshape(2, count)
+    joined = end[0, pairs.first]
+    end[:, pairs.first] = -1
+    end[1 - pairs.first_end, pairs.first] = joined
+    end[1 - pairs.second_end, pairs.second] = joined + count
+    near = end.ravel()[near]
+    return np.sort(near[:, (near >= 0).all(axis=0)], axis=0)
+
+
+def _continuing_pairs(
+    points: np.ndarray,
+    order: np.ndarray,
+    offsets: np.ndarray,
+    outward: np.ndarray,
+    near: np.ndarray,
+    config: ContinuationConfig,
+) -> _Pairs:
+    """The pairs of ends at which arcs may be joined, the best first."""
+    lengths = np.diff(offsets)
+    count = len(lengths)
+    place_u, place_v = points[order[np.concatenate([offsets[:-1], offsets[1:] - 1])]].T
+    out_u, out_v = outward.reshape(-1, 2).T
+    i, j = near
+    room = config.max_gap_share * np.minimum(lengths[i % count], lengths[j % count])
+    gap_u, gap_v = place_u[j] - place_u[i], place_v[j] - place_v[i]
+    distance = np.hypot(gap_u, gap_v)
+    opposite = -(out_u[i] * out_u[j] + out_v[i] * out_v[j])
+    slack = 1.5  # pixels: the direction of a tiny gap means nothing
+    ahead = np.minimum(out_u[i] * gap_u + out_v[i] * gap_v, -(out_u[j] * gap_u + out_v[j] * gap_v))
+    fits = (i % count != j % count) & (distance <= room) & (opposite > config.min_alignment)
+    fits &= ahead + slack > config.min_alignment * distance
+    i, j, distance = i[fits], j[fits], distance[fits]
+    pairs = _Pairs(i % count, i // count, j % count, j // count)
+    if not len(distance):
+        return pairs
+    rms, rise = _common_fit(points, order, offsets, pairs)
+    good = (rms <= config.max_rms) & (rise <= config.max_counter_bend)
+    cost = distance / config.max_gap + rms / config.max_rms
+    return pairs.chosen(np.flatnonzero(good)[np.argsort(cost[good], kind="stable")])
+
+
+def _common_fit(
+    points: np.ndarray, order: np.ndarray, offsets: np.ndarray, pairs: _Pairs
+) -> tuple[np.ndarray, np.ndarray]:
+    """Root mean square distance and counter-bend of one polynomial through each pair of arcs."""
+    arcs = np.stack([pairs.first, pairs.second], axis=1).ravel()
+    forward = np.stack([pairs.first_end == 1, pairs.second_end == 0], axis=1).ravel()
+    selected, runs = _runs(offsets, arcs, forward)
+    fit = fit_by_length(points.take(order[selected], axis=0), runs[::2])
+    return fit.rms, counter_bend(fit)[0]
+
+
+def _outward(
+    points: np.ndarray, order: np.ndarray, starts: np.ndarray, stops: np.ndarray
+) -> np.ndarray:
+    """Unit tangents out of arcs at their starts and at their stops, shape (2, p, 2)."""
+    beginnings, offsets = gather_ranges(starts, np.minimum(starts + _END_POINTS, stops))
+    into, _ = fit_arcs(points[order[beginnings]], offsets, degree=2).end_tangents
+    endings, offsets = gather_ranges(np.maximum(stops - _END_POINTS, starts), stops)
+    _, out = fit_arcs(points[order[endings]], offsets, degree=2).end_tangents
+    return np.stack([-into, out])
 
 
 def _disjoint(pairs: _Pairs) -> _Pairs:
@@ -110,63 +188,8 @@ def _runs(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Indices along some arcs, each forward or backward, one after another, and their offsets."""
     starts, stops = offsets[arcs], offsets[arcs + 1]
-    runs = np.concatenate([[0], np.cumsum(stops - starts)]).astype(np.int64)
+    lengths = stops - starts
+    runs = np.concatenate([[0], np.cumsum(lengths)]).astype(np.int64)
     step = np.where(forward, 1, -1)
     begin = np.where(forward, starts, stops - 1) - step * runs[:-1]
-    lengths = stops - starts
     return np.repeat(begin, lengths) + np.repeat(step, lengths) * np.arange(runs[-1]), runs
-
-
-def _continuing_pairs(
-    points: np.ndarray,
-    offsets: np.ndarray,
-    outward: np.ndarray,
-    fresh: np.ndarray,
-    config: ContinuationConfig,
-) -> _Pairs:
-    """Pairs of arcs that may be joined, one of them fresh, the best first."""
-    count = len(fresh)
-    if count < 2:
-        return _Pairs(*np.empty((4, 0), dtype=np.int64))
-    place = points[np.concatenate([offsets[:-1], offsets[1:] - 1])]
-    outward = outward.reshape(-1, 2)
-    i, j = KDTree(place).query_pairs(config.max_gap, output_type="ndarray").T
-    tried = (i % count != j % count) & (fresh[i % count] | fresh[j % count])
-    i, j = i[tried], j[tried]
-    lengths = np.diff(offsets)
-    gap = place[j] - place[i]
-    distance = np.hypot(*gap.T)
-    room = config.max_gap_share * np.minimum(lengths[i % count], lengths[j % count])
-    opposite = -(outward[i] * outward[j]).sum(axis=1)
-    slack = 1.5  # pixels: the direction of a tiny gap means nothing
-    ahead = np.minimum((outward[i] * gap).sum(axis=1), -(outward[j] * gap).sum(axis=1))
-    fits = (distance <= room) & (opposite > config.min_alignment)
-    fits &= ahead + slack > config.min_alignment * distance
-    distance = distance[fits]
-    pairs = _Pairs(i[fits] % count, i[fits] // count, j[fits] % count, j[fits] // count)
-    if not len(distance):
-        return pairs
-    rms, rise = _common_fit(points, offsets, pairs)
-    good = (rms <= config.max_rms) & (rise <= config.max_counter_bend)
-    cost = distance / config.max_gap + rms / config.max_rms
-    return pairs.chosen(np.flatnonzero(good)[np.argsort(cost[good], kind="stable")])
-
-
-def _common_fit(
-    points: np.ndarray, offsets: np.ndarray, pairs: _Pairs
-) -> tuple[np.ndarray, np.ndarray]:
-    """Root mean square distance and counter-bend of one polynomial through each pair of arcs."""
-    arcs = np.stack([pairs.first, pairs.second], axis=1).ravel()
-    forward = np.stack([pairs.first_end == 1, pairs.second_end == 0], axis=1).ravel()
-    selected, runs = _runs(offsets, arcs, forward)
-    fit = fit_by_length(points[selected], runs[::2])
-    return fit.rms, counter_bend(fit)[0]
-
-
-def _outward(points: np.ndarray, starts: np.ndarray, stops: np.ndarray) -> np.ndarray:
-    """Unit tangents out of arcs at their starts and at their stops, shape (2, p, 2)."""
-    beginnings, offsets = gather_ranges(starts, np.minimum(starts + _END_POINTS, stops))
-    into, _ = fit_arcs(points[beginnings], offsets, degree=2).end_tangents
-    endings, offsets = gather_ranges(np.maximum(stops - _END_POINTS, starts), stops)
-    _, out = fit_arcs(points[endings], offsets, degree=2).end_tangents
-    return np.stack([-into, out])

@@ -40,8 +40,10 @@ class Curve:
 
     @cached_property
     def _arc_length(self) -> np.ndarray:
-        steps = np.hypot(*np.diff(self.points, axis=0).T)
-        return np.concatenate([[0.0], np.cumsum(steps)])
+        step = self.points[1:] - self.points[:-1]
+        length = np.zeros(len(self.points))
+        np.hypot(step[:, 0], step[:, 1], out=length[1:])
+        return np.cumsum(length, out=length)
 
     @property
     def length(self) -> float:

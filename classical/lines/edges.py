@@ -87,18 +87,18 @@ def detect_edges(
     to_contrast = step_per_gradient(config.sigma)
     median = float(np.median(norm[::4, ::4]))
     threshold = max(config.min_contrast / to_contrast, config.noise_factor * median)
-    cells = _candidates(norm, threshold)
-    cells, shift_u, shift_v = _local_maxima(du, dv, norm, cells)
+    cells, shift_u, shift_v = _local_maxima(du, dv, norm, max(threshold, _TINY))
     strength = norm.ravel()[cells]
     most = max(1000, int(config.max_density * grey.size))
     if len(cells) > most:
         keep = strength >= np.partition(strength, len(cells) - most)[len(cells) - most]
         cells, strength = cells[keep], strength[keep]
         shift_u, shift_v = shift_u[keep], shift_v[keep]
-    points = np.stack([cells % width + shift_u, cells // width + shift_v], axis=1)
-    normals = np.stack([du.ravel()[cells], dv.ravel()[cells]], axis=1) / strength[:, None]
+    row = cells // width
+    points = np.stack([cells - row * width + shift_u, row + shift_v], axis=1)
+    normals = np.stack([du.ravel()[cells] / strength, dv.ravel()[cells] / strength], axis=1)
     return EdgePoints(
-        points.astype(np.float64),
+        points,
         normals.astype(np.float64),
         strength.astype(np.float64) * to_contrast,
         cells,
@@ -110,10 +110,15 @@ def detect_edges(
 def gradient(grey: np.ndarray, sigma: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Derivatives along u and v of the blurred picture and their norm, grey levels a pixel."""
     smooth = cv2.GaussianBlur(grey, (0, 0), sigma, borderType=cv2.BORDER_REPLICATE)
-    du = cv2.Sobel(smooth, cv2.CV_32F, 1, 0, ksize=1, scale=0.5)
-    dv = cv2.Sobel(smooth, cv2.CV_32F, 0, 1, ksize=1, scale=0.5)
+    du, dv = np.zeros_like(smooth), np.zeros_like(smooth)  # as they are at the frame
+    np.subtract(smooth[:, 2:], smooth[:, :-2], out=du[:, 1:-1])
+    np.subtract(smooth[2:], smooth[:-2], out=dv[1:-1])
+    du *= 0.5
+    dv *= 0.5
     # not cv2.magnitude, whose last bit depends on where the arrays lie in memory
-    return du, dv, np.sqrt(du * du + dv * dv)
+    norm = du * du
+    norm += dv * dv
+    return du, dv, np.sqrt(norm, out=norm)
 
 
 def step_per_gradient(sigma: float) -> float:
@@ -130,25 +135,28 @@ def empty_edge_points(height: int, width: int) -> EdgePoints:
     return EdgePoints(none, none, np.empty(0), np.empty(0, dtype=np.int64), height, width)
 
 
-def _candidates(norm: np.ndarray, threshold: float) -> np.ndarray:
-    """Flat indices of pixels above the threshold, away from the frame."""
-    strong = norm > max(threshold, _TINY)
-    strong[:_BORDER] = strong[-_BORDER:] = False
-    strong[:, :_BORDER] = strong[:, -_BORDER:] = False
-    return np.flatnonzero(strong)
-
-
 def _local_maxima(
-    du: np.ndarray, dv: np.ndarray, norm: np.ndarray, cells: np.ndarray
+    du: np.ndarray, dv: np.ndarray, norm: np.ndarray, threshold: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Cells that are maxima along the axis nearest to the gradient, with sub-pixel shifts."""
-    flat = norm.ravel()
-    along_u = np.abs(du.ravel()[cells]) >= np.abs(dv.ravel()[cells])
-    step = np.where(along_u, 1, norm.shape[1])
-    centre, before, after = flat[cells], flat[cells - step], flat[cells + step]
-    peak = (centre > before) & (centre >= after)
-    cells, along_u = cells[peak], along_u[peak]
-    before, centre, after = (np.log(x[peak] + _TINY) for x in (before, centre, after))
-    shift = 0.5 * (before - after) / np.minimum(before - 2 * centre + after, -_TINY)
+    """Cells above the threshold that are maxima along the axis nearest to the gradient.
+
+    Returns:
+        Flat indices of the cells, none at the frame, and their sub-pixel shifts along u and v.
+    """
+    inner = slice(_BORDER, -_BORDER)
+    before, after = slice(_BORDER - 1, -_BORDER - 1), slice(_BORDER + 1, 1 - _BORDER)
+    centre = norm[inner, inner]
+    along_u = np.abs(du[inner, inner]) >= np.abs(dv[inner, inner])
+    across = (centre > norm[inner, before]) & (centre >= norm[inner, after])
+    down = (centre > norm[before, inner]) & (centre >= norm[after, inner])
+    peak = np.zeros(norm.shape, dtype=bool)
+    peak[inner, inner] = (centre > threshold) & ((across & along_u) | (down & ~along_u))
+    cells = np.flatnonzero(peak)
+    flat, horizontal = norm.ravel(), along_u[peak[inner, inner]]
+    step = np.where(horizontal, 1, norm.shape[1])
+    low, middle, high = (
+        np.log(flat[place] + _TINY) for place in (cells - step, cells, cells + step)
+    )
+    shift = 0.5 * (low - high) / np.minimum(low - 2 * middle + high, -_TINY)
     shift = np.clip(shift, -0.5, 0.5)
-    return cells, np.where(along_u, shift, 0.0), np.where(along_u, 0.0, shift)
+    return cells, np.where(horizontal, shift, 0.0), np.where(horizontal, 0.0, shift)

@@ -176,7 +176,7 @@ def fit_by_length(points: Float[np.ndarray, "m 2"], offsets: Int[np.ndarray, " p
     for degree in np.unique(degrees).tolist():
         pieces = np.flatnonzero(degrees == degree)
         selected, local = gather_ranges(offsets[pieces], offsets[pieces + 1])
-        parts.append(_Part(_fitted(points[selected], local, degree), selected, pieces))
+        parts.append(_Part(_fitted(points.take(selected, axis=0), local, degree), selected, pieces))
     return ArcFit(offsets, parts)
 
 
@@ -188,9 +188,9 @@ def polynomial_degrees(lengths: np.ndarray) -> np.ndarray:
 def arc_length(points: np.ndarray, offsets: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Arc length from the start of each piece at each point, and of each piece as a whole."""
     steps = np.zeros(len(points))
-    steps[1:] = _length(np.diff(points, axis=0).T)
+    steps[1:] = _length((np.diff(points[:, 0]), np.diff(points[:, 1])))
     steps[offsets[:-1]] = 0.0
-    running = np.cumsum(steps)
+    running = np.cumsum(steps, out=steps)
     position = running - np.repeat(running[offsets[:-1]], np.diff(offsets))
     return position, position[offsets[1:] - 1]
 
@@ -203,13 +203,21 @@ def gather_ranges(starts: np.ndarray, stops: np.ndarray) -> tuple[np.ndarray, np
     return selected, offsets
 
 
+def ranked(
+    values: Float[np.ndarray, " m"], offsets: Int[np.ndarray, " p1"], rank: Int[np.ndarray, " p"]
+) -> Float[np.ndarray, " p"]:
+    """The value of each piece that so many of its values come before when they are sorted."""
+    ranges = zip(offsets[:-1].tolist(), offsets[1:].tolist(), rank.tolist(), strict=True)
+    return np.array([np.partition(values[a:b], k)[k] for a, b, k in ranges])
+
+
 def _fitted(points: np.ndarray, offsets: np.ndarray, degree: int) -> _Polynomials:
     """Least squares by the normal equations, in powers of the arc length."""
     first, lengths = offsets[:-1], np.diff(offsets)
-    position, total = arc_length(points, offsets)
+    centred = np.array(points.T, order="C")
+    position, total = arc_length(centred.T, offsets)
     local = position * np.repeat(2 / np.maximum(total, 1e-9), lengths)
     local -= 1.0
-    centred = np.array(points.T, order="C")
     centred -= np.repeat(np.add.reduceat(centred, first, axis=1) / lengths, lengths, axis=1)
     sums = np.empty((2 * degree + 1, len(first)))  # of the powers over each piece
     right = np.zeros((degree + 1, 2, len(first)))  # of power 0: centred points sum to zero
@@ -267,6 +275,6 @@ def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     return a[0] * b[1] - a[1] * b[0]
 
 
-def _length(vectors: np.ndarray) -> np.ndarray:
-    """Lengths of vectors (2, n)."""
+def _length(vectors: np.ndarray | tuple[np.ndarray, np.ndarray]) -> np.ndarray:
+    """Lengths of vectors, by their two rows."""
     return np.sqrt(vectors[0] * vectors[0] + vectors[1] * vectors[1])

@@ -174,11 +174,9 @@ def _mean_rise(
     points: np.ndarray, offsets: np.ndarray, start: np.ndarray, direction: np.ndarray
 ) -> np.ndarray:
     """Mean signed height of each curve above its chord; 2/3 of the bow of a parabola."""
-    label = np.repeat(np.arange(len(start)), np.diff(offsets))
-    rel = points - start[label]
-    along = direction[label]
-    rise = along[:, 0] * rel[:, 1] - along[:, 1] * rel[:, 0]
-    return np.add.reduceat(rise, offsets[:-1]) / np.diff(offsets)
+    counts = np.diff(offsets)
+    sums = np.add.reduceat(points, offsets[:-1]) / counts[:, None] - start
+    return direction[:, 0] * sums[:, 1] - direction[:, 1] * sums[:, 0]
 
 
 def _great_circle_bow(a: np.ndarray, b: np.ndarray, focal: float) -> np.ndarray:

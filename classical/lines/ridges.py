@@ -56,22 +56,25 @@ def detect_ridges(
     cells = np.flatnonzero(hot)
     if not len(cells):
         return empty_edge_points(height, width)
-    du, dv, duu, duv, dvv = _derivatives(heat.ravel().astype(np.float64), cells, width)
-    # eigenvector of the most negative second derivative
+    heat_of_pixels = heat.ravel().astype(np.float64)
+    duu, duv, dvv = _second_derivatives(heat_of_pixels, cells, width)
+    # the most negative second derivative; a ridge falls off faster across than it bends along
     half_difference, half_sum = (duu - dvv) / 2, (duu + dvv) / 2
-    root = np.hypot(half_difference, duv)
+    root = np.sqrt(half_difference * half_difference + duv * duv)
     across = half_sum - root
-    angle = 0.5 * np.arctan2(duv, half_difference) + np.pi / 2
+    ridge = (across < -_TINY) & (np.abs(across) > 1.5 * np.abs(half_sum + root))
+    cells, across = cells[ridge], across[ridge]
+    # its eigenvector
+    angle = 0.5 * np.arctan2(duv[ridge], half_difference[ridge]) + np.pi / 2
     normals = np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    du, dv = _first_derivatives(heat_of_pixels, cells, width)
     slope = normals[:, 0] * du + normals[:, 1] * dv
     shift = -slope / np.minimum(across, -_TINY)
     offset = normals * shift[:, None]
-    # a ridge falls off faster across than it bends along
     inside = np.abs(offset).max(axis=1) <= _REACH
-    ridge = (across < -_TINY) & inside & (np.abs(across) > 1.5 * np.abs(half_sum + root))
-    cells, offset, normals = cells[ridge], offset[ridge], normals[ridge]
+    cells, offset, normals = cells[inside], offset[inside], normals[inside]
     points = np.stack([cells % width, cells // width], axis=1) + offset
-    contrast = heat.ravel()[cells].astype(np.float64)
+    contrast = heat_of_pixels[cells]
     return EdgePoints(points, normals, contrast, cells, height, width)
 
 
@@ -85,17 +88,22 @@ def smoothed_heat(
     return heat, max(config.min_heat * float(heat.max()), config.min_heat_absolute)
 
 
-def _derivatives(heat: np.ndarray, cells: np.ndarray, width: int) -> tuple[np.ndarray, ...]:
-    """First and second central differences at cells of a flat picture."""
+def _first_derivatives(
+    heat: np.ndarray, cells: np.ndarray, width: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """Central differences along u and v at cells of a flat picture."""
+    return (heat[cells + 1] - heat[cells - 1]) / 2, (heat[cells + width] - heat[cells - width]) / 2
+
+
+def _second_derivatives(
+    heat: np.ndarray, cells: np.ndarray, width: int
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Second central differences (uu, uv, vv) at cells of a flat picture."""
     centre = heat[cells]
-    left, right = heat[cells - 1], heat[cells + 1]
-    up, down = heat[cells - width], heat[cells + width]
-    diagonal = heat[cells + width + 1] + heat[cells - width - 1]
-    diagonal = diagonal - heat[cells + width - 1] - heat[cells - width + 1]
+    diagonal = heat[cells + (width + 1)] + heat[cells - (width + 1)]
+    diagonal = diagonal - heat[cells + (width - 1)] - heat[cells - (width - 1)]
     return (
-        (right - left) / 2,
-        (down - up) / 2,
-        right - 2 * centre + left,
+        heat[cells + 1] - 2 * centre + heat[cells - 1],
         diagonal / 4,
-        down - 2 * centre + up,
+        heat[cells + width] - 2 * centre + heat[cells - width],
     )

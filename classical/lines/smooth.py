@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from classical.lines.pieces import ArcFit, fit_by_length, gather_ranges
+from classical.lines.pieces import ArcFit, fit_by_length, gather_ranges, ranked
 
 _ROUNDS = 9
 
@@ -97,9 +97,10 @@ def inliers(
         selected, _ = gather_ranges(offsets[changed], offsets[changed + 1])
         selected = selected[keep[selected]]
         local = np.searchsorted(selected, np.append(offsets[changed], len(points)))
-        distance = np.abs(fit_by_length(points[selected], local).distance)
-        limit = np.maximum(floor, factor * _medians(distance, local))
-        far = distance > np.repeat(limit, np.diff(local))
+        distance = np.abs(fit_by_length(points.take(selected, axis=0), local).distance)
+        counts = np.diff(local)
+        limit = np.maximum(floor, factor * ranked(distance, local, counts // 2))
+        far = distance > np.repeat(limit, counts)
         keep[selected[far]] = False
         changed = changed[np.logical_or.reduceat(far, local[:-1])]
         if not len(changed):
@@ -107,19 +108,12 @@ def inliers(
     return keep
 
 
-def _medians(values: np.ndarray, offsets: np.ndarray) -> np.ndarray:
-    """The middle value of each piece, the upper of two."""
-    middle = np.diff(offsets) // 2
-    ranges = zip(offsets[:-1].tolist(), offsets[1:].tolist(), middle.tolist(), strict=True)
-    return np.array([np.partition(values[a:b], k)[k] for a, b, k in ranges])
-
-
 def _judge(
     points: np.ndarray, starts: np.ndarray, stops: np.ndarray, config: SmoothConfig
 ) -> tuple[np.ndarray, np.ndarray]:
     """Which pieces are smooth arcs, and where to cut each that is not."""
     selected, offsets = gather_ranges(starts, stops)
-    fit = fit_by_length(points[selected], offsets)
+    fit = fit_by_length(points.take(selected, axis=0), offsets)
     rise, against = counter_bend(fit)
     near = (fit.rms <= config.max_rms) & (fit.largest <= config.max_distance)
     good = near & (rise <= config.max_counter_bend)
