@@ -14,6 +14,7 @@ from torch import Tensor
 from learned.dlp import LinePerception
 from learned.larecnet import LaRecNet
 from learned.letterbox import resized
+from learned.mirror import mean_estimate
 from learned.parameters import FREE
 from learned.phases import detection_counts, reprojection_errors
 from learned.rectification import rectify_images
@@ -86,7 +87,8 @@ class Assessment:
 def assess(network: LaRecNet, batches: Iterable[SlfBatch]) -> Assessment:
     """Run a network over batches with ground truth.
 
-    The lens is estimated in the network's own frame, all else is done at the batches' size.
+    The lens is estimated as for users, in the network's own frame and from four mirror images; all
+    else is done at the batches' size.
 
     Args:
         network: In evaluation mode.
@@ -96,15 +98,14 @@ def assess(network: LaRecNet, batches: Iterable[SlfBatch]) -> Assessment:
     counts = torch.zeros(4, dtype=torch.float64)
     for batch in batches:
         image = resized(batch.image, network.cfg.frame, network.cfg.frame)
-        out = network(image.contiguous(memory_format=torch.channels_last))
+        out = mean_estimate(network, image.contiguous(memory_format=torch.channels_last))
         rpe.append(reprojection_errors(out.k, batch))
         mse = (rectify_images(batch.image, out.k) - batch.rectified).square().mean((1, 2, 3))
         psnr.append(-10.0 * torch.log10(mse.clamp_min(1e-10)))
-        if out.estimate.cholesky is not None:
-            covariance = network.parameters_of_lens.covariance(out.estimate.cholesky)
-            sigma = torch.diagonal(covariance, dim1=1, dim2=2).sqrt()[:, FREE]
+        if out.covariance is not None:
+            sigma = torch.diagonal(out.covariance, dim1=1, dim2=2).sqrt()[:, FREE]
             scores.append((batch.k - out.k)[:, FREE] / sigma)
-        if out.lineness is not None:
+        if out.seen is not None:
             sure = network.dlp.lineness(network.dlp(batch.image).raw)
             counts += torch.from_numpy(detection_counts(sure > 0.5, batch.line_map > 0))
     spread = torch.cat(scores) if scores else torch.zeros(0, len(FREE))

@@ -77,6 +77,11 @@ class LaRecNet(nn.Module):
         self.uncertainty = AttentiveUncertainty(channels, width=cfg.uncertainty_width)
         self.dlp.eval()
 
+    @property
+    def uses_lines(self) -> bool:
+        """Whether calibration looks at the maps of line perception."""
+        return bool(set(self.cfg.calibration.inputs) & {"heatmap", "lineness"})
+
     def train(self, mode: bool = True) -> LaRecNet:
         """Training mode for all but line perception."""
         super().train(mode)
@@ -101,7 +106,7 @@ class LaRecNet(nn.Module):
             Lens, parameters of all branches, heatmap.
         """
         heatmap = lineness = rectified = uncertainty = None
-        if set(self.cfg.calibration.inputs) & {"heatmap", "lineness"}:
+        if self.uses_lines:
             if seen is None:
                 with torch.no_grad():
                     seen = self.dlp.maps(image)

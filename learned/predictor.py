@@ -18,6 +18,7 @@ from torch import Tensor
 from classical.camera import Division, KannalaBrandt
 from learned.larecnet import LaRecNet
 from learned.letterbox import Letterbox, as_tensor, resized
+from learned.mirror import mean_estimate
 from learned.rong import RongNet
 from learned.weights import load_weights, located
 
@@ -99,7 +100,7 @@ class Predictor:
     @torch.inference_mode()
     @_one_thread()
     def lens(self, image: ndarray) -> LensPrediction:
-        """Estimate the lens of a picture of any size.
+        """Estimate the lens of a picture of any size, from it and its three mirror images.
 
         Args:
             image: Grey, RGB or RGBA, (h, w) or (h, w, c); integers or floats in [0, 1].
@@ -109,17 +110,16 @@ class Predictor:
         """
         tensor = as_tensor(image).to(self.device)
         box = Letterbox(tensor.shape[3], tensor.shape[2], self.network.cfg.frame)
-        out = self.network(_fast(box.fill(tensor)))
+        out = mean_estimate(self.network, _fast(box.fill(tensor)))
         k = out.k[0].double().cpu().numpy()
         camera = box.camera(k) if np.isfinite(k).all() and k[0] > 0 and k[6] > 0 else None
         covariance = None
-        if out.estimate.cholesky is not None:
-            spread = self.network.parameters_of_lens.covariance(out.estimate.cholesky)
-            covariance = box.covariance(spread[0].cpu().numpy())
+        if out.covariance is not None:
+            covariance = box.covariance(out.covariance[0].cpu().numpy())
         lines = None
-        if out.heatmap is not None and out.lineness is not None:
-            maps = (box.content(m[0, 0].cpu().numpy()) for m in (out.heatmap, out.lineness))
-            lines = LinePrediction(*maps)
+        if out.seen is not None:
+            lineness, heatmap = (box.content(m) for m in out.seen[0].cpu().numpy())
+            lines = LinePrediction(heatmap, lineness)
         return LensPrediction(camera, covariance, lines)
 
     @torch.inference_mode()

@@ -5,11 +5,11 @@ from pathlib import Path
 
 import pytest
 import torch
-from small_networks import SMALL, SMALL_DLP, SMALL_RONG
+from small_networks import SMALL, SMALL_CALIBRATION, SMALL_DLP, SMALL_RONG
 
 from learned.dlp import LinePerception
 from learned.larecnet import LaRecNet
-from learned.mirror import mirrored
+from learned.mirror import mean_estimate, mirrored
 from learned.phases import (
     DivisionPhase,
     PerceptionPhase,
@@ -177,6 +177,26 @@ def test_mirrored_lens_rectifies_the_mirrored_picture(dims: tuple[int, ...]) -> 
     batch = mirrored(grids(5), dims)
     again = rectify_images(batch.image, batch.k)
     torch.testing.assert_close(again, batch.rectified, atol=1e-4, rtol=0)
+
+
+@pytest.mark.parametrize("dims", [(2,), (3,), (2, 3)])
+def test_mirrored_picture_has_the_mirrored_estimate(dims: tuple[int, ...]) -> None:
+    torch.manual_seed(0)
+    blind = replace(SMALL_CALIBRATION, inputs=("image",))  # line perception knows no mirrors
+    network = LaRecNet(replace(SMALL, calibration=blind, frame=SIZE)).eval()
+    network.parameters_of_lens.whiten(torch.rand(200, 9))
+    batch = grids(5)
+    with torch.inference_mode():
+        found = mean_estimate(network, batch.image)
+        turned = mean_estimate(network, batch.image.flip(dims))
+        alone = network(batch.image).k
+    expected = mirrored(replace(batch, k=found.k), dims).k
+    torch.testing.assert_close(turned.k, expected, atol=1e-5, rtol=0)
+    assert found.covariance is not None
+    assert turned.covariance is not None
+    sign = torch.tensor([1.0] * 7 + [-1.0 if 3 in dims else 1.0, -1.0 if 2 in dims else 1.0])
+    torch.testing.assert_close(turned.covariance, found.covariance * sign * sign[:, None])
+    assert (alone - found.k).abs().max() > 1e-4  # one look is not the mean of four
 
 
 def test_rate_divides_by_ten_at_half_time_or_rises_holds_and_falls() -> None:
