@@ -12,7 +12,7 @@ from tqdm import tqdm
 
 from eval.cases import Suite
 from eval.folder import RunFolder, claim_folder, origin
-from eval.methods import EVERY, METHODS, TOGETHER, WIREFRAME, Method, parse_methods
+from eval.methods import EVERY, FIXED, METHODS, TOGETHER, WIREFRAME, Method, parse_methods
 from eval.open_suite import open_suite
 from eval.options import every_option, suites_option, workers_option
 
@@ -35,7 +35,9 @@ _ALL = ",".join(method.tag for method in METHODS)
     + " and ".join(method.tag for method in TOGETHER)
     + ", which take all pictures of a camera at once, and "
     + " and ".join(method.tag for method in WIREFRAME)
-    + ", with weights of D-Wireframe alone.",
+    + ", with weights of D-Wireframe alone, and "
+    + FIXED.tag
+    + ", a yardstick: the one lens that is best for all pictures, chosen by the true ones.",
 )
 @workers_option
 @click.option(
@@ -73,11 +75,11 @@ def evaluate(
 
     try:
         chosen = parse_methods(methods)
-        settings = {method: settings_of(method, seed=seed) for method in chosen}
     except ValueError as error:
         raise click.UsageError(str(error)) from error
     for path in suites:
         suite = open_suite(path.resolve(), min_bend=min_bend, every=every)
+        settings = {method: settings_of(method, suite, seed=seed) for method in chosen}
         folder = RunFolder(out.resolve() / suite.name)
         if restart and folder.config.is_file():
             shutil.rmtree(folder.root)

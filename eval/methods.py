@@ -17,6 +17,8 @@ class Method:
         variant: `RectifyConfig.variant`, None for the whole method.
         weights: Name of other weights that ship, None for the default.
         of: The estimator behind it, where that is not the tag.
+        knows_truth: A yardstick that is chosen with the true lenses in view: no method for users,
+            and never the best of a table.
     """
 
     tag: str
@@ -27,6 +29,7 @@ class Method:
     variant: str | None = None
     weights: str | None = None
     of: str | None = None
+    knows_truth: bool = False
 
     @property
     def estimator(self) -> str:
@@ -87,7 +90,16 @@ WIREFRAME = tuple(
 """With weights that know planes of photographs and the paper's lenses alone, as one row of the
 paper's table. Asked for by name only."""
 
-EVERY = (*METHODS, *WIREFRAME, *TOGETHER, *STEPS)
+FIXED = Method(
+    "fixed",
+    "Best fixed lens (knows the truth)",
+    "#000000",
+    knows_focal=False,
+    knows_truth=True,
+)
+"""The one lens that does best when all pictures of a suite are given it. Asked for by name only."""
+
+EVERY = (*METHODS, *WIREFRAME, *TOGETHER, *STEPS, FIXED)
 """All of them, in the order of the tables."""
 
 _BY_TAG = {method.tag: method for method in EVERY}

@@ -73,11 +73,16 @@ def compared_pixels(
 ) -> Float[ndarray, "n 2"]:
     """Pixels on which two lenses are compared: those the true lens sees at θ ≤ `theta_max`."""
     points = pixel_grid(width, height, spacing=spacing)
-    rays, valid = truth.unproject(points)
-    chosen = points[valid & (polar_angle(rays) <= theta_max)]
+    chosen = points[within(truth, points, theta_max)]
     if len(chosen) == 0:
         raise ValueError(f"expected pixels within {np.degrees(theta_max):.0f}° of the axis, got 0")
     return chosen
+
+
+def within(truth: Lens, points: Float[ndarray, "n 2"], theta_max: float) -> Bool[ndarray, " n"]:
+    """Which pixels the true lens sees at θ ≤ `theta_max`."""
+    rays, valid = truth.unproject(points)
+    return valid & (polar_angle(rays) <= theta_max)
 
 
 def polar_angle(rays: Float[ndarray, "n 3"]) -> Float[ndarray, " n"]:

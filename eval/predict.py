@@ -3,7 +3,7 @@
 import hashlib
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any
@@ -14,7 +14,7 @@ from numpy import ndarray
 
 from eval.cases import Case, Suite, read_picture
 from eval.folder import RunFolder
-from eval.methods import IDENTITY, Method
+from eval.methods import FIXED, IDENTITY, Method
 from eval.prediction import Prediction
 from learned.pool import ordered_map
 
@@ -125,8 +125,13 @@ def _predictor(factory: Factory, estimator: str, settings: Settings) -> Predicto
     return factory(estimator, settings)
 
 
-def settings_of(method: Method, *, seed: int) -> dict[str, Any]:
+def settings_of(method: Method, suite: Suite, *, seed: int) -> dict[str, Any]:
     """The settings of one of the project's methods, with a checksum of the weights it uses.
+
+    Args:
+        method: One of `EVERY`.
+        suite: The test set; what a yardstick knows of it is in its settings.
+        seed: Of random choices.
 
     Raises:
         ValueError: If there is no such method.
@@ -135,6 +140,10 @@ def settings_of(method: Method, *, seed: int) -> dict[str, Any]:
     settings: dict[str, Any] = {"seed": seed}
     if method == IDENTITY:
         return settings
+    if method == FIXED:
+        from eval.fixed import best_fixed_lens
+
+        return asdict(best_fixed_lens(suite.cases, suite.theta_max))
     from hybrid import RectifyConfig
 
     # refuses what it does not know
@@ -159,6 +168,10 @@ def project_method(estimator: str, settings: Settings) -> Predictor:
     """
     if estimator == IDENTITY.tag:
         return _leave_alone
+    if estimator == FIXED.tag:
+        from eval.fixed import FixedLens
+
+        return partial(_give, FixedLens(**dict(settings)))
     from hybrid import Rectifier, RectifyConfig
 
     options = dict(settings)
@@ -170,6 +183,11 @@ def project_method(estimator: str, settings: Settings) -> Predictor:
 
 def _leave_alone(pictures: Sequence[UInt8[ndarray, "h w 3"]]) -> list[Prediction]:
     return [Prediction(None, "ok") for _ in pictures]
+
+
+def _give(lens: Any, pictures: Sequence[UInt8[ndarray, "h w 3"]]) -> list[Prediction]:
+    """A fixed lens for each picture."""
+    return [Prediction(lens.camera(p.shape[1], p.shape[0]), "ok") for p in pictures]
 
 
 def _ask(rectifier: Any, pictures: Sequence[UInt8[ndarray, "h w 3"]]) -> list[Prediction]:

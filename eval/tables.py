@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from numpy import ndarray
 
 from eval import published
@@ -35,11 +35,12 @@ class Table:
 def make_table(caption: str, suite: SuiteScores, columns: Sequence[Column]) -> Table:
     """Numbers of all methods on a suite, the best of each column marked.
 
-    Columns without any number are left out.
+    Columns without any number are left out. What knows the truth is never the best.
     """
     values = np.array([[column.value(row, suite) for column in columns] for row in suite.methods])
     shown = [index for index in range(len(columns)) if np.isfinite(values[:, index]).any()]
-    marks = {index: _best_rows(columns[index], values[:, index]) for index in shown}
+    fair = np.array([not row.method.knows_truth for row in suite.methods])
+    marks = {index: _best_rows(columns[index], values[:, index], fair) for index in shown}
     rows = []
     for number, row in enumerate(suite.methods):
         cells = tuple(
@@ -68,8 +69,11 @@ def overview(suites: Sequence[SuiteScores]) -> Table:
         for suite in suites
         for row in suite.methods
     }
-    best = {
-        suite.name: min(found[suite.name, row.method] for row in suite.methods) for suite in suites
+    fair = {
+        suite.name: [
+            found[suite.name, row.method] for row in suite.methods if not row.method.knows_truth
+        ]
+        for suite in suites
     }
     rows = tuple(
         (
@@ -77,7 +81,8 @@ def overview(suites: Sequence[SuiteScores]) -> Table:
             method.color,
             tuple(
                 _mark(
-                    found.get((suite.name, method), math.nan), best[suite.name], len(suite.methods)
+                    found.get((suite.name, method), math.nan),
+                    [] if method.knows_truth else fair[suite.name],
                 )
                 for suite in suites
             ),
@@ -108,8 +113,9 @@ def ablation(suites: Sequence[SuiteScores]) -> list[Table]:
     return tables
 
 
-def _best_rows(column: Column, values: Float[ndarray, " m"]) -> set[int]:
-    """Rows that show the best number; ties as printed share the mark."""
+def _best_rows(column: Column, values: Float[ndarray, " m"], fair: Bool[ndarray, " m"]) -> set[int]:
+    """Rows that show the best number among the fair ones; ties as printed share the mark."""
+    values = np.where(fair, values, math.nan)
     finite = [float(value) for value in values if math.isfinite(value)]
     if not column.best or len(finite) < 2:
         return set()
@@ -118,9 +124,10 @@ def _best_rows(column: Column, values: Float[ndarray, " m"]) -> set[int]:
     return {index for index, value in enumerate(values) if _text(value, column.form) == text}
 
 
-def _mark(value: float, best: float, n: int) -> Cell:
+def _mark(value: float, rivals: Sequence[float]) -> Cell:
+    """A number, marked where it is the least of several."""
     text = _text(value, ".2f")
-    return Cell(text, n > 1 and text != _DASH and text == _text(best, ".2f"))
+    return Cell(text, len(rivals) > 1 and text != _DASH and text == _text(min(rivals), ".2f"))
 
 
 def _text(value: float | None, form: str) -> str:

@@ -203,8 +203,8 @@ def test_the_field_of_view_of_a_case_by_hand():
     assert case.fov == pytest.approx(np.degrees(2.0))  # one radian to each side
 
 
-def test_steps_of_the_hybrid_are_methods_of_their_own() -> None:
+def test_steps_of_the_hybrid_are_methods_of_their_own(suite) -> None:
     (step,) = parse_methods("hybrid-snapped")
     assert step.estimator == "hybrid"
-    assert settings_of(step, seed=3)["variant"] == "snapped"
-    assert "variant" not in settings_of(parse_methods("hybrid")[0], seed=3)
+    assert settings_of(step, suite, seed=3)["variant"] == "snapped"
+    assert "variant" not in settings_of(parse_methods("hybrid")[0], suite, seed=3)
