@@ -171,7 +171,7 @@ def _doubt_maps(
             continue
         error = expected_error(answer.camera, answer.covariance)
         share = np.clip(np.nan_to_num(error) / _WORST_SHOWN, 0, 1)
-        picture = _colored(np.round(255 * share).astype(np.uint8))
+        picture = colored(np.round(255 * share).astype(np.uint8))
         picture[np.isnan(error)] = 0
         typical = float(np.nanmedian(error)) if np.isfinite(error).any() else float("nan")
         title = f"{row.method.full_name}: expected error, 0 (dark) to {_WORST_SHOWN:g} px (bright)"
@@ -183,7 +183,7 @@ def _doubt_maps(
 def _network_map(folder: RunFolder, truth: Truth, seen: NetworkMap) -> Picture:
     """A map of the network in colours."""
     values = np.clip(np.nan_to_num(seen.values(truth.photo)), 0, 1)
-    picture = _colored(np.round(255 * values).astype(np.uint8))
+    picture = colored(np.round(255 * values).astype(np.uint8))
     return _save(folder, truth.case, seen.tag, picture, seen.title, seen.title)
 
 
@@ -254,7 +254,7 @@ def _lines_text(truth: Truth, answer: Prediction) -> str:
     return f"{len(answer.curves)} curves found: {used} used (blue), the others left out (orange)"
 
 
-def _colored(values: UInt8[ndarray, "h w"]) -> UInt8[ndarray, "h w 3"]:
+def colored(values: UInt8[ndarray, "h w"]) -> UInt8[ndarray, "h w 3"]:
     """A map in colours that also read in grey."""
     return np.ascontiguousarray(cv2.applyColorMap(values, cv2.COLORMAP_VIRIDIS)[:, :, ::-1])
 

@@ -17,7 +17,7 @@ import click
 from hybrid.failures import words_of
 
 COMMAND_GROUP = "straightlens.commands"
-_COMMANDS = {"assess": "learned.commands:assess"}
+_COMMANDS = {"assess": "learned.commands:assess", "heatmaps": "eval.heatmaps:heatmaps"}
 """Commands that work in a checkout that was installed before they were added, too."""
 
 MISUSE, FAILURE, INTERRUPTED = 2, 1, 130
