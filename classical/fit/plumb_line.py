@@ -301,7 +301,8 @@ def _with_scale(
     """Fuse the fit's scale with those of each picture's vanishing points by their variances."""
     assert config.vanishing is not None
     width = best.camera.width
-    sets = [_samples([curves], width, config) for curves in curve_sets if curves]
+    most = config.vanishing.most_lines
+    sets = [_samples([_longest(curves, most)], width, config) for curves in curve_sets if curves]
     tolerance = config.inlier_tolerance * width / REFERENCE_WIDTH
     found = [vanishing_scale(best.camera, samples, tolerance, config.vanishing) for samples in sets]
     fused = fused_scale(

@@ -9,6 +9,7 @@ from jaxtyping import Float
 
 from classical.camera import KannalaBrandt
 from classical.fit.result import FittedCurve, Status
+from classical.lines.pieces import arc_length
 
 LARGEST_ERROR = 3.0
 """Predicted error up to which an answer is ok, pixels of a 320 frame, f = 160 px."""
@@ -119,8 +120,8 @@ def judge(
         error: `predicted_error` of it.
     """
     inliers = [curve for picture in curves for curve in picture if curve.inlier]
-    length = sum(_length(curve) for curve in inliers) / camera.width
-    share = straight_share(curves)
+    straight, total = _lengths(curves)
+    length, share = straight / camera.width, straight / max(total, 1e-9)
     if len(inliers) < _FEWEST_CURVES:
         return "failed", f"only {len(inliers)} curves can be made straight, {_FEWEST_CURVES} needed"
     if not error < _HOPELESS_ERROR:
@@ -136,10 +137,16 @@ def judge(
 
 def straight_share(curves: Sequence[Sequence[FittedCurve]]) -> float:
     """Share of the curves' length that the lens made straight; 0 without curves."""
+    straight, total = _lengths(curves)
+    return straight / max(total, 1e-9)
+
+
+def _lengths(curves: Sequence[Sequence[FittedCurve]]) -> tuple[float, float]:
+    """Length of the straight curves and of all, pixels."""
     every = [curve for picture in curves for curve in picture]
-    straight = sum(_length(curve) for curve in every if curve.inlier)
-    return straight / max(sum(_length(curve) for curve in every), 1e-9)
-
-
-def _length(curve: FittedCurve) -> float:
-    return float(np.hypot(*np.diff(curve.points, axis=0).T).sum())
+    if not every:
+        return 0.0, 0.0
+    offsets = np.cumsum([0, *(len(curve.points) for curve in every)])
+    lengths = arc_length(np.concatenate([curve.points for curve in every]), offsets)[1]
+    straight = lengths[[curve.inlier for curve in every]]
+    return float(straight.sum()), float(lengths.sum())

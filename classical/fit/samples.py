@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from classical.lines import Curve
+from classical.lines.curve import thinned_curves
 
 
 @dataclass(frozen=True)
@@ -106,12 +107,9 @@ def sample_curves(
     """
     if not curves:
         raise ValueError("Expected at least one curve, got none.")
-    sampled = [
-        curve.thinned(curve.length / min(max(round(curve.length / spacing), least), most))
-        for curve in curves
-    ]
-    counts = np.array([len(points) for points in sampled])
     lengths = np.array([curve.length for curve in curves])
-    starts = np.concatenate([[0], np.cumsum(counts)[:-1]])
+    wanted = np.clip(np.round(lengths / spacing), least, most)
+    points, counts = thinned_curves(curves, (lengths / wanted).tolist())
+    starts = np.cumsum(counts) - counts
     spans = np.repeat(lengths / counts, counts)
-    return CurveSamples(np.concatenate(sampled), starts, spans, pictures)
+    return CurveSamples(points, starts, spans, pictures)

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,7 +40,8 @@ class Curve:
         object.__setattr__(self, "points", points)
 
     @cached_property
-    def _arc_length(self) -> np.ndarray:
+    def arc_length(self) -> Float[np.ndarray, " n"]:
+        """Length along the polyline from its start to each point, gaps included, pixels."""
         step = self.points[1:] - self.points[:-1]
         length = np.zeros(len(self.points))
         np.hypot(step[:, 0], step[:, 1], out=length[1:])
@@ -48,7 +50,7 @@ class Curve:
     @property
     def length(self) -> float:
         """Length along the polyline, gaps included, pixels."""
-        return float(self._arc_length[-1])
+        return float(self.arc_length[-1])
 
     @property
     def chord(self) -> float:
@@ -68,13 +70,32 @@ class Curve:
         Returns:
             The points, in order; all of them where they are that sparse already.
         """
-        if not spacing > 0:
-            raise ValueError(f"Expected spacing > 0, got {spacing:g}.")
-        count = max(1, round(self.length / spacing))
-        if count < 2 or count >= len(self.points):
-            return self.points
-        cell = self._arc_length * (count / self.length)
-        stops = np.append(cell.searchsorted(np.arange(count)), len(cell))
-        number = stops[1:] - stops[:-1]
-        used = number > 0
-        return np.add.reduceat(self.points, stops[:-1][used]) / number[used, None]
+        return thinned_curves([self], [spacing])[0]
+
+
+def thinned_curves(
+    curves: Sequence[Curve], spacings: Sequence[float]
+) -> tuple[Float[np.ndarray, "m 2"], Int[np.ndarray, " c"]]:
+    """What `Curve.thinned` gives of each curve: the points, one curve after another, and counts.
+
+    Args:
+        curves: At least one curve.
+        spacings: Distance between the points of each, pixels.
+    """
+    if not all(spacing > 0 for spacing in spacings):
+        raise ValueError(f"Expected spacing > 0, got {min(spacings):g}.")
+    sizes = np.array([len(curve.points) for curve in curves])
+    lengths = np.array([curve.length for curve in curves])
+    number = np.maximum(np.round(lengths / spacings), 1).astype(np.int64)
+    kept = (number < 2) | (number >= sizes)  # curves that stay as they are
+    scale = np.where(kept, 0.0, number / np.where(kept, 1.0, lengths))
+    cell = np.concatenate([curve.arc_length for curve in curves]) * np.repeat(scale, sizes)
+    cell = np.minimum(cell.astype(np.int64), np.repeat(number - 1, sizes))
+    first = np.cumsum(sizes) - sizes
+    is_start = np.repeat(kept, sizes)
+    is_start[1:] |= cell[1:] != cell[:-1]
+    is_start[first] = True
+    starts = np.flatnonzero(is_start)
+    members = np.diff(starts, append=len(cell))
+    points = np.add.reduceat(np.concatenate([curve.points for curve in curves]), starts)
+    return points / members[:, None], np.add.reduceat(is_start, first, dtype=np.int64)

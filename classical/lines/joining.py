@@ -16,11 +16,12 @@ from jaxtyping import Float
 
 from classical.camera import Division, KannalaBrandt, Pinhole
 from classical.camera.ray_field import ray_field
-from classical.lines.curve import Curve
+from classical.lines.curve import Curve, thinned_curves
 
 _SPACING = 4.0  # pixels between the points that are used to compare curves
 _STEP = 0.5  # pixels, for derivatives of rays
 _REWEIGHTINGS = 2
+_BOUND_SLACK = 1.01  # for rounding
 
 
 @dataclass(frozen=True)
@@ -84,11 +85,9 @@ def join_curves(
         if not len(pairs):
             break
         pieces = _merge(pieces, pairs)
-    joined = [
-        curves[group[0]] if len(group) == 1 else _joined(curves, group, camera)
-        for group in pieces.members
-    ]
-    return sorted(joined + [curves[k] for k in unseen], key=lambda curve: -curve.length)
+    alone = [curves[group[0]] for group in pieces.members if len(group) == 1]
+    joined = _joined([[curves[k] for k in g] for g in pieces.members if len(g) > 1], camera)
+    return sorted(alone + joined + [curves[k] for k in unseen], key=lambda curve: -curve.length)
 
 
 def sampson_rays(
@@ -120,9 +119,8 @@ def _describe(
             np.empty((0, 3, 3)), none[:, 0], none[:, 0], none[:, 0], np.empty((0, 2, 2)),
             np.empty((0, 2, 3)), none, [],
         ), []  # fmt: skip
-    coarse = [curve.thinned(_SPACING) for curve in curves]
-    count = np.array([len(points) for points in coarse])
-    rays, derivative = sampson_rays(np.concatenate(coarse), camera)
+    coarse, count = thinned_curves(curves, [_SPACING] * len(curves))
+    rays, derivative = sampson_rays(coarse, camera)
     finite = np.isfinite(rays[:, 0])
     visible = np.logical_and.reduceat(finite, np.cumsum(count) - count)
     seen, unseen = np.flatnonzero(visible).tolist(), np.flatnonzero(~visible).tolist()
@@ -168,27 +166,21 @@ def _best_pairs(pieces: _Pieces, config: JoinConfig) -> list[tuple[int, int]]:
     """Disjoint pairs of pieces of one line, the surest first."""
     if len(pieces.members) < 2:
         return []
-    i, j = np.triu_indices(len(pieces.members), 1)
-    gap = np.sqrt(
-        ((pieces.ends[i][:, :, None] - pieces.ends[j][:, None]) ** 2).sum(axis=-1)
-    ).reshape(len(i), 4).min(axis=1)  # fmt: skip
-    longer = np.maximum(pieces.length[i], pieces.length[j])
-    shorter = np.minimum(pieces.length[i], pieces.length[j])
-    room = np.minimum(config.max_gap_share * longer, config.max_gap_share_short * shorter)
-    near = gap <= np.maximum(room, config.max_gap)
-    i, j, gap = i[near], j[near], gap[near]
-    # a circle through both must pass near each: cheap bound before the eigenvalues
+    i, j, gap = _near_pairs(pieces, config)
+    limit = np.maximum(config.max_rms, config.noise_factor * pieces.rms)
+    # a circle through both must pass near each: a bound that most pairs break
+    most = pieces.count * limit * limit
     common = pieces.scatter[i] + pieces.scatter[j]
-    normal = np.linalg.eigh(common)[1][:, :, 0]
-    fits = np.ones(len(i), dtype=bool)
+    possible = ~_exceeds(common, _BOUND_SLACK * (most[i] + most[j]))
+    i, j, gap = i[possible], j[possible], gap[possible]
+    normal = np.linalg.eigh(common[possible])[1][:, :, 0]
     misfit = np.zeros(len(i))
     for side in (i, j):
         squared = np.einsum("ki,kij,kj->k", normal, pieces.scatter[side], normal)
         rms = np.sqrt(np.maximum(squared, 0) / pieces.count[side])
-        limit = np.maximum(config.max_rms, config.noise_factor * pieces.rms[side])
-        fits &= rms <= limit
-        misfit = np.maximum(misfit, rms / limit)
-    fits &= _overlap(pieces, i, j, normal) <= config.max_overlap
+        misfit = np.maximum(misfit, rms / limit[side])
+    fits = misfit <= 1
+    fits[fits] = _overlap(pieces, i[fits], j[fits], normal[fits]) <= config.max_overlap
     cost = misfit + gap / np.maximum(pieces.length[i], pieces.length[j])
     pairs, taken = [], set()
     for k in np.flatnonzero(fits)[np.argsort(cost[fits], kind="stable")].tolist():
@@ -197,6 +189,30 @@ def _best_pairs(pieces: _Pieces, config: JoinConfig) -> list[tuple[int, int]]:
             pairs.append((a, b))
             taken |= {a, b}
     return pairs
+
+
+def _near_pairs(pieces: _Pieces, config: JoinConfig) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Pairs of pieces with a gap that their lengths allow, and the gap."""
+    squared = np.full((len(pieces.members), len(pieces.members)), np.inf)
+    for one in pieces.ends.transpose(1, 2, 0):
+        for other in pieces.ends.transpose(1, 2, 0):
+            du, dv = one[:, :, None] - other[:, None, :]
+            np.minimum(squared, du * du + dv * dv, out=squared)
+    gap = np.sqrt(squared)
+    longer = np.maximum.outer(pieces.length, pieces.length)
+    shorter = np.minimum.outer(pieces.length, pieces.length)
+    room = np.minimum(config.max_gap_share * longer, config.max_gap_share_short * shorter)
+    i, j = np.nonzero(np.triu(gap <= np.maximum(room, config.max_gap), 1))
+    return i, j, gap[i, j]
+
+
+def _exceeds(matrices: np.ndarray, bound: np.ndarray) -> np.ndarray:
+    """True where all eigenvalues of symmetric 3x3 matrices exceed a bound, by leading minors."""
+    xx, yy, zz = (matrices[:, k, k] - bound for k in range(3))
+    xy, xz, yz = matrices[:, 0, 1], matrices[:, 0, 2], matrices[:, 1, 2]
+    minor = xx * yy - xy * xy
+    determinant = zz * minor - xx * yz * yz - yy * xz * xz + 2 * xy * xz * yz
+    return (xx > 0) & (minor > 0) & (determinant > 0)
 
 
 def _overlap(pieces: _Pieces, i: np.ndarray, j: np.ndarray, normal: np.ndarray) -> np.ndarray:
@@ -248,16 +264,22 @@ def _merge(pieces: _Pieces, pairs: list[tuple[int, int]]) -> _Pieces:
     )
 
 
-def _joined(
-    curves: list[Curve], group: list[int], camera: KannalaBrandt | Division | Pinhole
-) -> Curve:
-    """One curve of all points of a group, in order along their circle."""
-    points = np.concatenate([curves[k].points for k in group])
-    rays = camera.unproject(points)[0]
-    normal = np.linalg.eigh(rays.T @ rays)[1][:, 0]
-    axis = rays.mean(axis=0)
-    angle = np.arctan2(rays @ np.cross(normal, axis), rays @ axis)
-    weight = np.array([len(curves[k].points) for k in group], dtype=float)
-    sigma = np.sqrt(np.average([curves[k].sigma ** 2 for k in group], weights=weight))
-    strength = np.average([curves[k].strength for k in group], weights=weight)
-    return Curve(points[np.argsort(angle, kind="stable")], float(sigma), float(strength))
+def _joined(groups: list[list[Curve]], camera: KannalaBrandt | Division | Pinhole) -> list[Curve]:
+    """One curve of all points of each group, in order along their circle."""
+    if not groups:
+        return []
+    points = [np.concatenate([curve.points for curve in group]) for group in groups]
+    rays = np.split(
+        camera.unproject(np.concatenate(points))[0], np.cumsum([len(each) for each in points])[:-1]
+    )
+    joined = []
+    for group, places, directions in zip(groups, points, rays, strict=True):
+        normal = np.linalg.eigh(directions.T @ directions)[1][:, 0]
+        axis = directions.mean(axis=0)
+        angle = np.arctan2(directions @ np.cross(normal, axis), directions @ axis)
+        weight = np.array([len(curve.points) for curve in group], dtype=float)
+        sigma = np.sqrt(np.average([curve.sigma**2 for curve in group], weights=weight))
+        strength = np.average([curve.strength for curve in group], weights=weight)
+        order = np.argsort(angle, kind="stable")
+        joined.append(Curve(places[order], float(sigma), float(strength)))
+    return joined
