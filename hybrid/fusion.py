@@ -51,10 +51,12 @@ class HybridConfig:
         snaps: Curves of the heatmap lie on the picture's sub-pixel edges, not on its centre lines.
         adds_edges: Edges that the heatmap does not mark are curves too.
         believes: LaRecNet's lens is a belief beside a start.
-        field_doubt: What is believed of LaRecNet's lens is its field of view, its standard
-            deviation widened so far: a network does worse on real pictures than on those it was
-            trained on, and worst in the shape of the lens. The whole lens is believed where the
-            weights are for pictures like their training set alone: their card has a "doubt".
+        field_doubt: By how much the standard deviation of LaRecNet's field of view is widened
+            before it is believed: a network does worse on real pictures than on those it was
+            trained on …
+        lens_doubt: … and worst in the shape of the lens, so those of the lens as a whole are
+            widened by more. Weights for pictures like their training set alone say themselves how
+            far their lens is to be doubted: their card has a "doubt".
         has_parallels: Lines that point in one direction help the bends.
         has_vanishing: Orthogonal vanishing points help to fix the scale.
     """
@@ -63,6 +65,7 @@ class HybridConfig:
     adds_edges: bool = True
     believes: bool = True
     field_doubt: float = 4.0
+    lens_doubt: float = 8.0
     has_parallels: bool = True
     has_vanishing: bool = True
 
@@ -109,7 +112,7 @@ class HybridEstimator:
         if belief is not None:
             starts.append(belief.decode(np.zeros(8), width, height))
             if cfg.believes:
-                observations.append(self._believed(belief))
+                observations += self._believed(belief)
         fit = fit_lens(
             curves,
             width,
@@ -124,12 +127,15 @@ class HybridEstimator:
         )
         return replace(estimate_from_fit(fit), heatmaps=heatmaps)
 
-    def _believed(self, belief: LensPrior) -> Observation:
-        """What the fit takes from LaRecNet's lens; see `HybridConfig.field_doubt`."""
+    def _believed(self, belief: LensPrior) -> list[Observation]:
+        """What the fit takes from LaRecNet's lens; see `HybridConfig`."""
         doubt = self._predictor.card.get("doubt")
-        if doubt is None:
-            return of_belief_field(belief, _NETWORK, doubt=self._hybrid.field_doubt)
-        return of_belief(belief, _NETWORK, doubt=float(doubt))
+        if doubt is not None:
+            return [of_belief(belief, _NETWORK, doubt=float(doubt))]
+        return [
+            of_belief_field(belief, _NETWORK, doubt=self._hybrid.field_doubt),
+            of_belief(belief, _NETWORK, doubt=self._hybrid.lens_doubt),
+        ]
 
     def _lineness(self, picture: UInt8[ndarray, "h w 3"]) -> Float[ndarray, "hh ww"]:
         return self._predictor.lines(picture).lineness

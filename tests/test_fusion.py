@@ -130,7 +130,7 @@ def test_weights_without_a_covariance_are_believed_as_far_as_lenses_differ(truth
 
 
 @pytest.mark.parametrize("doubt", [3.0, None])
-def test_weights_with_a_doubt_speak_of_the_whole_lens_and_others_of_its_field(
+def test_weights_with_a_doubt_speak_of_the_lens_and_others_of_its_field_more_surely(
     tmp_path, monkeypatch, doubt
 ):
     torch.manual_seed(0)
@@ -147,15 +147,15 @@ def test_weights_with_a_doubt_speak_of_the_whole_lens_and_others_of_its_field(
     Rectifier(RectifyConfig(method="hybrid", weights=str(path))).calibrate([picture])
     belief = network_belief([Predictor.from_weights(path).lens(picture)])
     assert belief is not None
-    (heard,) = (each for each in seen if each.source == "network")
-    if doubt is None:
-        told = of_belief_field(belief, "network")
-        doubt = HybridConfig().field_doubt
-    else:
-        told = of_belief(belief, "network")
-    np.testing.assert_array_equal(heard.matrix, told.matrix)
-    np.testing.assert_allclose(heard.value, told.value)
-    np.testing.assert_allclose(heard.covariance, doubt**2 * told.covariance)
+    heard = [each for each in seen if each.source == "network"]
+    cfg, lens = HybridConfig(), of_belief(belief, "network")
+    told = [(of_belief_field(belief, "network"), cfg.field_doubt), (lens, cfg.lens_doubt)]
+    for one, (other, widened) in zip(
+        heard, told if doubt is None else [(lens, doubt)], strict=True
+    ):
+        np.testing.assert_array_equal(one.matrix, other.matrix)
+        np.testing.assert_allclose(one.value, other.value)
+        np.testing.assert_allclose(one.covariance, widened**2 * other.covariance)
 
 
 def test_threads_do_not_change_the_answer(found, room):
