@@ -71,7 +71,7 @@ def sampson_distances(
     field: RayField, normals: Float[np.ndarray, "curves 3"], samples: CurveSamples
 ) -> Distances:
     """Distances of the samples from the circles with these normals."""
-    nx, ny, nz = normals.T[:, samples.owner]
+    nx, ny, nz = np.repeat(normals.T, samples.counts, axis=1)
     along = nx * field.x
     along += ny * field.y
     inner = field.A * along

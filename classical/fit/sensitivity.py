@@ -63,8 +63,10 @@ def straightness_jacobian(
     if weights is not None:
         scatter *= weights
     turned = _normal_derivatives(np.add.reduceat(scatter, samples.starts, axis=2), circles)
-    for part, by_normal in enumerate(_by_normal(field, distances, terms)):
-        out += by_normal * turned[part][:, samples.owner]
+    for part, by_normal in zip(turned, _by_normal(field, distances, terms), strict=True):
+        moved = np.repeat(part, samples.counts, axis=1)
+        moved *= by_normal
+        out += moved
     return out, turned
 
 

@@ -58,7 +58,7 @@ def continue_arcs(
     near = _near_ends(points, offsets, config.max_gap)
     fresh = np.ones(len(offsets) - 1, dtype=bool)  # arcs whose pairs were not tried yet
     for _ in range(config.rounds):
-        tried = near[:, fresh[near % max(len(fresh), 1)].any(axis=0)]
+        tried = near[:, np.logical_or(*np.tile(fresh, 2)[near])]
         pairs = _disjoint(_continuing_pairs(points, order, offsets, outward, tried, config))
         if not len(pairs.first):
             break
@@ -101,8 +101,10 @@ def _free_ends(near: np.ndarray, pairs: _Pairs, left: np.ndarray) -> np.ndarray:
     end[:, pairs.first] = -1
     end[1 - pairs.first_end, pairs.first] = joined
     end[1 - pairs.second_end, pairs.second] = joined + count
-    near = end.ravel()[near]
-    return np.sort(near[:, (near >= 0).all(axis=0)], axis=0)
+    i, j = end.ravel()[near]
+    free = (i >= 0) & (j >= 0)
+    i, j = i[free], j[free]
+    return np.stack([np.minimum(i, j), np.maximum(i, j)])
 
 
 def _continuing_pairs(

@@ -8,6 +8,7 @@ the aspect of the pixels. What is dark at the border of the scene only hides a p
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import reduce
 from typing import NamedTuple
 
 import cv2
@@ -86,7 +87,7 @@ def find_image_circle(
     scale = min(1.0, _SIZE / max(height, width))
     size = (max(8, round(width * scale)), max(8, round(height * scale)))
     small = cv2.resize(image, size, interpolation=cv2.INTER_AREA)
-    bright = cv2.medianBlur(small.max(axis=2) if small.ndim == 3 else small, 3)
+    bright = cv2.medianBlur(reduce(cv2.max, cv2.split(small)), 3)
     dark = _surround_level(bright, config)
     if dark is None:
         return None

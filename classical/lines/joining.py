@@ -194,10 +194,14 @@ def _best_pairs(pieces: _Pieces, config: JoinConfig) -> list[tuple[int, int]]:
 def _near_pairs(pieces: _Pieces, config: JoinConfig) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Pairs of pieces with a gap that their lengths allow, and the gap."""
     squared = np.full((len(pieces.members), len(pieces.members)), np.inf)
-    for one in pieces.ends.transpose(1, 2, 0):
-        for other in pieces.ends.transpose(1, 2, 0):
+    ends = np.ascontiguousarray(pieces.ends.transpose(1, 2, 0))  # (2, 2, p)
+    for one in ends:
+        for other in ends:
             du, dv = one[:, :, None] - other[:, None, :]
-            np.minimum(squared, du * du + dv * dv, out=squared)
+            du *= du
+            dv *= dv
+            du += dv
+            np.minimum(squared, du, out=squared)
     gap = np.sqrt(squared)
     longer = np.maximum.outer(pieces.length, pieces.length)
     shorter = np.minimum.outer(pieces.length, pieces.length)

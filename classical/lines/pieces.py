@@ -182,16 +182,17 @@ def fit_by_length(points: Float[np.ndarray, "m 2"], offsets: Int[np.ndarray, " p
 
 def polynomial_degrees(lengths: np.ndarray) -> np.ndarray:
     """Degree of the polynomial for pieces of so many points."""
-    return np.select([lengths < 24, lengths < 120], [2, 3], 5)
+    return np.where(lengths < 24, 2, np.where(lengths < 120, 3, 5))
 
 
 def arc_length(points: np.ndarray, offsets: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Arc length from the start of each piece at each point, and of each piece as a whole."""
-    steps = np.zeros(len(points))
-    steps[1:] = _length((np.diff(points[:, 0]), np.diff(points[:, 1])))
-    steps[offsets[:-1]] = 0.0
-    running = np.cumsum(steps, out=steps)
-    position = running - np.repeat(running[offsets[:-1]], np.diff(offsets))
+    u, v = points.T
+    running = np.zeros(len(points))
+    running[1:] = _length((u[1:] - u[:-1], v[1:] - v[:-1]))
+    running[offsets[:-1]] = 0.0
+    np.cumsum(running, out=running)
+    position = running - np.repeat(running[offsets[:-1]], offsets[1:] - offsets[:-1])
     return position, position[offsets[1:] - 1]
 
 

@@ -113,17 +113,16 @@ def even_nodes(
     return nodes, np.stack([-along[:, 1], along[:, 0]], axis=1), new_offsets
 
 
-def sample(grey: np.ndarray, points: np.ndarray) -> np.ndarray:
-    """Bilinear samples of a picture, float32, shape of `points` without its last axis."""
-    flat = points.reshape(-1, 2).astype(np.float32)
-    if not len(flat):
-        return np.empty(points.shape[:-1], np.float32)
-    rows = -(-len(flat) // _TILE)
-    padded = np.zeros((rows * _TILE, 2), np.float32)
-    padded[: len(flat)] = flat
-    maps = padded.reshape(rows, _TILE, 2)
-    values = cv2.remap(grey, maps, None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)  # pyright: ignore[reportCallIssue, reportArgumentType]
-    return values.reshape(-1)[: len(flat)].astype(np.float32).reshape(points.shape[:-1])
+def sample(grey: np.ndarray, u: np.ndarray, v: np.ndarray) -> np.ndarray:
+    """Bilinear samples of a picture at pixels (u, v), float32, shape of u."""
+    if not u.size:
+        return np.empty(u.shape, np.float32)
+    rows = -(-u.size // _TILE)
+    maps = np.zeros((2, rows * _TILE), np.float32)
+    maps[0, : u.size], maps[1, : u.size] = u.ravel(), v.ravel()
+    map_u, map_v = maps.reshape(2, rows, _TILE)
+    values = cv2.remap(grey, map_u, map_v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    return values.reshape(-1)[: u.size].astype(np.float32).reshape(u.shape)
 
 
 def _profile_slopes(
@@ -136,8 +135,8 @@ def _profile_slopes(
     kernel = _derivative_kernel(config.sigma / config.step) / config.step
     pad = len(kernel) // 2
     across = np.arange(-steps - pad, steps + pad + 1) * config.step
-    places = nodes[:, None, :] + normals[:, None, :] * across[None, :, None]
-    values = sample(grey, places)
+    u, v = (nodes[:, axis, None] + normals[:, axis, None] * across for axis in (0, 1))
+    values = sample(grey, u, v)
     values = cv2.blur(values, (1, 3), borderType=cv2.BORDER_REPLICATE)
     slopes = cv2.filter2D(values, cv2.CV_32F, kernel[None, :])
     return slopes[:, pad : pad + 2 * steps + 1]
@@ -183,25 +182,25 @@ def _edge_path(slope: np.ndarray, offsets: np.ndarray, config: SnapConfig) -> np
 def _viterbi(table: np.ndarray, lengths: np.ndarray, drift_cost: float) -> np.ndarray:
     """Best paths through gain tables (c, n, w), steps of −1, 0 or 1 across; indices (c, n)."""
     count, longest, width = table.shape
-    total = table[:, 0].copy()
+    order = np.argsort(-lengths, kind="stable")  # the first ones are those that go on
+    table, going_on = table[order], [int((lengths > n).sum()) for n in range(longest)]
+    padded = np.full((count, width + 2), -np.inf, np.float32)
+    total = padded[:, 1:-1]
+    total[:] = table[:, 0]
     choice = np.zeros((count, longest, width), np.int8)
-    cost = np.array([drift_cost, 0.0, drift_cost], np.float32)
-    active_until = lengths[:, None]
-    for n in range(1, longest):
-        padded = np.pad(total, ((0, 0), (1, 1)), constant_values=-np.inf)
-        options = np.stack([padded[:, s : s + width] - cost[s] for s in range(3)])
-        chosen = options.argmax(axis=0)
-        choice[:, n] = chosen - 1
-        total = np.where(
-            n < active_until, np.take_along_axis(options, chosen[None], 0)[0] + table[:, n], total
-        )
+    for n, some in enumerate(going_on[1:], start=1):
+        low, high = padded[:some, :-2] - np.float32(drift_cost), padded[:some, 2:]
+        here, high = total[:some], high - np.float32(drift_cost)
+        best = np.maximum(np.maximum(low, here), high)
+        not_low = low < best
+        choice[:some, n] = not_low.view(np.int8) + (not_low & (here < best)) - 1
+        np.add(best, table[:some, n], out=here)
     path = np.zeros((count, longest), np.int64)
-    rows = np.arange(count)
     state = total.argmax(axis=1)
     for n in range(longest - 1, -1, -1):
-        path[:, n] = state
-        move = choice[rows, n, state] if n else 0
-        state = np.where(n < lengths, np.clip(state + move, 0, width - 1), state)
+        some = going_on[n]
+        path[order[:some], n] = state[:some]
+        state[:some] += choice[np.arange(some), n, state[:some]]
     return path
 
 

@@ -282,7 +282,7 @@ def _wide_heat(heatmap: np.ndarray, config: HeatmapCurvesConfig) -> tuple[np.nda
 
 def _hot_edges(edges: EdgePoints, wide: np.ndarray, threshold: float) -> EdgePoints:
     """Edge points within reach of hot pixels."""
-    return edges.chosen(sample(wide, _rescaled(edges, *wide.shape)) > threshold)
+    return edges.chosen(sample(wide, *_rescaled(edges, *wide.shape).T) > threshold)
 
 
 def _along_ridges(edges: EdgePoints, ridges: EdgePoints, reach: float) -> EdgePoints:
@@ -293,11 +293,11 @@ def _along_ridges(edges: EdgePoints, ridges: EdgePoints, reach: float) -> EdgePo
     """
     field_of_normals = np.zeros((2, ridges.height * ridges.width), np.float32)
     field_of_normals[:, ridges.cells] = _doubled(ridges.normals)
-    places = _rescaled(edges, ridges.height, ridges.width)
+    u, v = _rescaled(edges, ridges.height, ridges.width).T
     agreement = np.zeros(len(edges.points))
     for component, normal in zip(field_of_normals, _doubled(edges.normals), strict=True):
         smooth = cv2.GaussianBlur(component.reshape(ridges.height, ridges.width), (0, 0), reach)
-        agreement += sample(smooth, places) * normal
+        agreement += sample(smooth, u, v) * normal
     return edges.chosen(agreement > 0)
 
 
@@ -319,7 +319,7 @@ def _heated(curves: list[Curve], wide: np.ndarray, full: np.ndarray) -> list[Cur
         return []
     ratio = np.array([full.shape[1] / wide.shape[1], full.shape[0] / wide.shape[0]])
     points = (np.concatenate([curve.points for curve in curves]) + 0.5) / ratio - 0.5
-    heat = sample(wide, points) / max(float(wide.max()), 1e-9)
+    heat = sample(wide, *points.T) / max(float(wide.max()), 1e-9)
     stops = np.cumsum([len(curve.points) for curve in curves])
     parts = np.split(heat, stops[:-1])
     return [
