@@ -1,5 +1,7 @@
 """The straightness fit on curves made from known lenses."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -279,6 +281,17 @@ def test_straight_pictures_stay_as_they_are() -> None:
     assert "straight already" in fit.reason
     assert fit.status == "ok"
     assert aligned_error(fit.camera, truth) < 0.05
+
+
+@pytest.mark.parametrize("hinted", [True, False])
+def test_a_bend_that_only_a_heatmap_hints_at_is_no_bend_of_a_straight_picture(hinted: bool) -> None:
+    rng = np.random.default_rng(10)
+    truth = projection(1.6, -1.0, WIDTH, HEIGHT)
+    own = line_pictures(truth, 40, rng, noise=0.3)
+    others = [replace(curve, is_hinted=hinted) for curve in line_pictures(LENS, 60, rng, noise=0.3)]
+    fit = fit_lens([[*own, *others]], WIDTH, HEIGHT)
+    assert fit.camera is not None
+    assert (aligned_error(fit.camera, truth) < 0.05) is hinted
 
 
 def bowed(curve: Curve, bow: float) -> Curve:

@@ -11,6 +11,7 @@ from classical.lines import (
     Curve,
     HeatmapCurvesConfig,
     ImageCurvesConfig,
+    curves_from_both,
     curves_from_heatmap,
     curves_from_image,
     join_curves,
@@ -379,6 +380,14 @@ def test_every_curve_stays_on_one_side_of_a_bar(contrast):
         across = (v - 60 - 0.27 * (u - 20)) / np.hypot(1, 0.27)
         assert abs(abs(across.mean()) - 2.5) < 0.3
         assert np.ptp(across) < 0.6
+
+
+@pytest.mark.parametrize(("contrast", "hinted"), [(120, False), (5, True)])
+def test_curves_beside_the_pictures_own_edges_are_known_as_hints(contrast, hinted):
+    heat = np.zeros((100, 150), np.float32)
+    cv2.line(heat, (10, 30), (140, 65), 1.0, 3, cv2.LINE_8)
+    curves = curves_from_both(heat, picture_of_a_bar(contrast))
+    assert {curve.is_hinted for curve in curves} == {hinted}
 
 
 def test_edges_where_the_heatmap_is_cold_give_no_curves(image, lines):

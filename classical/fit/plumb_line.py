@@ -13,7 +13,7 @@ from classical.fit.bends import BendConfig
 from classical.fit.fitted import STRAIGHT_PX, fitted_curves
 from classical.fit.observations import Observation, of_circles
 from classical.fit.parallels import ParallelsConfig
-from classical.fit.perspective import PerspectiveConfig, perspective_instead
+from classical.fit.perspective import Perspective, PerspectiveConfig, perspective_instead
 from classical.fit.quality import disagreement, judge, predicted_error
 from classical.fit.result import LensFit
 from classical.fit.rounds import REFERENCE_WIDTH, Known, Settled, settle
@@ -160,7 +160,7 @@ def _fit(
     source = scale_source(best, known)
     candidate = _Candidate(best.camera, best.covariance, source)
     if config.perspective is not None:
-        candidate = _unless_straight(candidate, samples, known, config)
+        candidate = _unless_straight(candidate, curve_sets, joined, known, config)
     if config.vanishing is not None:
         candidate = _with_scale(candidate, joined, config)
     return _report(candidate, joined, config=config)
@@ -271,19 +271,23 @@ def _report(
 
 
 def _unless_straight(
-    best: _Candidate, samples: CurveSamples, known: Known, config: FitConfig
+    best: _Candidate,
+    curve_sets: Sequence[Sequence[Curve]],
+    joined: Sequence[Sequence[Curve]],
+    known: Known,
+    config: FitConfig,
 ) -> _Candidate:
-    """The perspective lens where it does as well; its scale is then open."""
-    assert config.perspective is not None
-    scale = best.camera.width / REFERENCE_WIDTH
-    straight = perspective_instead(
-        best.camera,
-        samples,
-        known,
-        tolerance=config.inlier_tolerance * scale,
-        bend=config.bend,
-        config=config.perspective,
-    )
+    """The perspective lens where it does as well; its scale is then open.
+
+    Line perception was made to find bent lines and finds some in every picture, so a bend is not
+    believed where the curves that the picture shows by itself speak for straight lines.
+    """
+    straight = _perspective(best.camera, joined, known, config)
+    own = [[curve for curve in curves if not curve.is_hinted] for curves in curve_sets]
+    if straight is None and 0 < sum(map(len, own)) < sum(map(len, curve_sets)):
+        alone = [join_curves(curves, best.camera) for curves in own]
+        straight = _perspective(best.camera, alone, known, config)
+        straight = straight if straight is not None and straight.proven else None
     if straight is None:
         return best
     camera = straight.camera
@@ -293,6 +297,22 @@ def _unless_straight(
     note = _STRAIGHT if straight.proven else _PERHAPS_STRAIGHT
     error = 0.5 * disagreement(camera, best.camera)
     return _Candidate(camera, covariance, best.scale_source, note, error)
+
+
+def _perspective(
+    camera: KannalaBrandt, curve_sets: Sequence[Sequence[Curve]], known: Known, config: FitConfig
+) -> Perspective | None:
+    """A perspective lens if it makes these curves about as straight as the fitted one."""
+    assert config.perspective is not None
+    pool = [_longest(curves, config.max_curves) for curves in curve_sets]
+    return perspective_instead(
+        camera,
+        _samples(pool, camera.width, config),
+        known,
+        tolerance=config.inlier_tolerance * camera.width / REFERENCE_WIDTH,
+        bend=config.bend,
+        config=config.perspective,
+    )
 
 
 def _with_scale(

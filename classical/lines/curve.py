@@ -19,11 +19,13 @@ class Curve:
             (n, 2). Steps need not be equal; joined curves have gaps.
         sigma: Standard deviation of a point across the curve, pixels.
         strength: How surely this is an image of a line, in [0, 1].
+        is_hinted: Whether it was taken for a line only because a heatmap is hot there.
     """
 
     points: Float[np.ndarray, "n 2"]
     sigma: float
     strength: float
+    is_hinted: bool = False
 
     def __post_init__(self) -> None:
         points = np.array(self.points, dtype=np.float64)

@@ -188,8 +188,9 @@ def curves_from_both(
     centre = _centre_lines(ridges, arcs, work, config)
     ratio = work.shape[1] / heatmap.shape[1]
     snapped, unsnapped = _snapped(centre, work, ratio, surround, config)
-    curves += finish_curves(snapped, full, scale, edges.refinement)
-    curves += _unsnapped_curves(unsnapped, scale, full.shape[1] / heatmap.shape[1], config)
+    hinted = finish_curves(snapped, full, scale, edges.refinement)
+    hinted += _unsnapped_curves(unsnapped, scale, full.shape[1] / heatmap.shape[1], config)
+    curves += [replace(curve, is_hinted=True) for curve in hinted]
     return sorted(curves, key=lambda curve: -curve.length)
 
 
