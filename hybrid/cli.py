@@ -17,8 +17,6 @@ import click
 from hybrid.failures import words_of
 
 COMMAND_GROUP = "straightlens.commands"
-_COMMANDS = {"assess": "learned.commands:assess", "heatmaps": "eval.heatmaps:heatmaps"}
-"""Commands that work in a checkout that was installed before they were added, too."""
 
 MISUSE, FAILURE, INTERRUPTED = 2, 1, 130
 
@@ -44,8 +42,7 @@ class LazyGroup(click.Group):
 
 
 def _registered() -> dict[str, EntryPoint]:
-    known = (EntryPoint(name, place, COMMAND_GROUP) for name, place in _COMMANDS.items())
-    return {entry.name: entry for entry in (*known, *entry_points(group=COMMAND_GROUP))}
+    return {entry.name: entry for entry in entry_points(group=COMMAND_GROUP)}
 
 
 def _unavailable(name: str, message: str) -> click.Command:
