@@ -43,7 +43,6 @@ VALIDATIONS = {
 
 _NORMAL_90 = 1.6449  # half width of the 90 % interval of a normal, in standard deviations
 _VALIDATION_SEED, _TEMPERATURE_SEED = 20_001, 777
-_READABLE = 0o644
 
 
 @dataclass(frozen=True)
@@ -185,7 +184,6 @@ def write_scored(
     if isinstance(network, LaRecNet) and network.cfg.calibration.covariance:
         told["temperature"] = round(float(network.calibration.temperature), 4)
     save_weights(path, network, told)
-    path.chmod(_READABLE)
 
 
 _ROWS = (

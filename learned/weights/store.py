@@ -24,6 +24,7 @@ from learned.larecnet import LaRecNet, LarecnetCfg
 from learned.rong import RongCfg, RongNet
 
 FORMAT = "straightlens-weights-1"
+_READABLE = 0o644
 FOLDER = Path(__file__).parent
 _NAMES: dict[type, str] = {LaRecNet: "larecnet", LinePerception: "dlp", RongNet: "rong"}
 _CONFIGS: dict[type, type] = {LaRecNet: LarecnetCfg, LinePerception: DlpCfg, RongNet: RongCfg}
@@ -93,6 +94,7 @@ def save_weights(
     path.parent.mkdir(parents=True, exist_ok=True)
     with atomic_path(path) as temporary:
         save_file(tensors, temporary, metadata=metadata)
+        temporary.chmod(_READABLE)  # safetensors leaves it to its owner alone
     with atomic_path(path.with_suffix(".sha256")) as temporary:
         temporary.write_text(f"{checksum(path)}  {path.name}\n")
     with atomic_path(path.with_suffix(".md")) as temporary:
