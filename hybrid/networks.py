@@ -15,6 +15,8 @@ from classical.fit import (
     fitted_curves,
     fused,
     generic_prior,
+    observed,
+    of_belief,
     predicted_error,
     straight_share,
 )
@@ -27,7 +29,11 @@ _LEAST_STRAIGHT = 0.8  # share of the curves' length; a lens that is right strai
 
 
 class LearnedEstimator:
-    """LaRecNet alone: the lens by one forward pass a picture, fused over pictures of one lens."""
+    """LaRecNet without lines: its lens, fused over pictures of one lens.
+
+    The network's lens and covariance are one observation; what holds for lenses in general is the
+    other, and tells most where the network is unsure: centre, aspect, shape of r(θ).
+    """
 
     def __init__(self, config: RectifyConfig) -> None:
         self._predictor = Predictor.from_weights(config.weights)
@@ -40,6 +46,8 @@ class LearnedEstimator:
             nothing = tuple(() for _ in pictures)
             return Calibration(None, nothing, Quality(), "failed", "the network gave no lens")
         height, width = pictures[0].shape[:2]
+        general = generic_prior(float(belief.mean[0]), width, height)
+        belief = observed(general, of_belief(belief, "network"))
         camera = belief.decode(np.zeros(8), width, height)
         curves = tuple(fitted_curves(curves_from_image(p), camera) for p in pictures)
         inliers = [curve for picture in curves for curve in picture if curve.inlier]
