@@ -32,7 +32,8 @@ class LearnedEstimator:
     """LaRecNet without lines: its lens, fused over pictures of one lens.
 
     The network's lens and covariance are one observation; what holds for lenses in general is the
-    other, and tells most where the network is unsure: centre, aspect, shape of r(θ).
+    other, and tells most where the network is unsure: centre, aspect, shape of r(θ). A network that
+    does not say how sure it is (the paper's) has the last word.
     """
 
     def __init__(self, config: RectifyConfig) -> None:
@@ -46,8 +47,9 @@ class LearnedEstimator:
             nothing = tuple(() for _ in pictures)
             return Calibration(None, nothing, Quality(), "failed", "the network gave no lens")
         height, width = pictures[0].shape[:2]
-        general = generic_prior(float(belief.mean[0]), width, height)
-        belief = observed(general, of_belief(belief, "network"))
+        if any(prediction.covariance is not None for prediction in predictions):
+            general = generic_prior(float(belief.mean[0]), width, height)
+            belief = observed(general, of_belief(belief, "network"))
         camera = belief.decode(np.zeros(8), width, height)
         curves = tuple(fitted_curves(curves_from_image(p), camera) for p in pictures)
         inliers = [curve for picture in curves for curve in picture if curve.inlier]

@@ -1,6 +1,7 @@
 """The hybrid on pictures whose lens is known: a shipped render, and the example."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -156,6 +157,21 @@ def test_weights_with_a_doubt_speak_of_the_lens_and_others_of_its_field_more_sur
         np.testing.assert_array_equal(one.matrix, other.matrix)
         np.testing.assert_allclose(one.value, other.value)
         np.testing.assert_allclose(one.covariance, widened**2 * other.covariance)
+
+
+@pytest.mark.parametrize("tells", [True, False])
+def test_learned_is_the_networks_lens_as_far_as_it_says_how_sure_it_is(tmp_path, tells):
+    torch.manual_seed(0)
+    calibration = replace(SMALL.calibration, covariance=tells)
+    path = tmp_path / "small.safetensors"
+    save_weights(path, LaRecNet(replace(SMALL, calibration=calibration)), {})
+    picture = np.random.default_rng(0).integers(0, 255, (96, 128, 3), dtype=np.uint8)
+    found = Rectifier(RectifyConfig(method="learned", weights=str(path))).calibrate([picture])
+    alone = Predictor.from_weights(path).lens(picture).camera
+    assert found.camera is not None
+    assert alone is not None
+    off = [np.hypot(c.u0 - 63.5, c.v0 - 47.5) for c in (found.camera, alone)]
+    assert off[0] < 0.9 * off[1] if tells else off[0] == pytest.approx(off[1])
 
 
 def test_threads_do_not_change_the_answer(found, room):
