@@ -18,7 +18,7 @@ from classical.fit import (
     of_field,
     of_focal,
 )
-from classical.lines import ImageCircle, curves_from_image, find_image_circle
+from classical.lines import ImageCircle, curves_from_image, find_image_circle, find_rim
 from hybrid.config import RectifyConfig
 from hybrid.result import Calibration, Quality
 
@@ -59,6 +59,7 @@ class ClassicalEstimator:
             ),
             circles=circles,
             observations=given_by_user(self._config, circles, width),
+            rims=[find_rim(picture) for picture in pictures],
         )
         return estimate_from_fit(fit)
 

@@ -32,6 +32,7 @@ from classical.lines import (
     curves_from_both,
     curves_from_heatmap,
     find_image_circle,
+    find_rim,
 )
 from hybrid.config import RectifyConfig
 from hybrid.estimators import estimate_from_fit, given_by_user, too_small
@@ -124,6 +125,7 @@ class HybridEstimator:
             circles=circles,
             observations=observations,
             starts=starts,
+            rims=[find_rim(picture) for picture in pictures],
         )
         return replace(estimate_from_fit(fit), heatmaps=heatmaps)
 

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+from jaxtyping import Float
 from threadpoolctl import ThreadpoolController
 
 from classical.camera import KannalaBrandt
@@ -15,6 +16,7 @@ from classical.fit.observations import Observation, of_circles
 from classical.fit.parallels import ParallelsConfig
 from classical.fit.perspective import Perspective, PerspectiveConfig, perspective_instead
 from classical.fit.quality import disagreement, judge, predicted_error
+from classical.fit.reach import reaching
 from classical.fit.result import LensFit
 from classical.fit.rounds import REFERENCE_WIDTH, Known, Settled, settle
 from classical.fit.samples import CurveSamples, sample_curves
@@ -36,6 +38,7 @@ from classical.lines import Curve, ImageCircle, join_curves
 _CONTROLLER = ThreadpoolController()
 _STRAIGHT = "the lines are straight already"
 _PERHAPS_STRAIGHT = "the lines look straight already, but they could not tell a fisheye"
+_FALLS_SHORT = "the lens found does not reach the rim of the picture"
 _OPEN_SCALE = 0.5  # deviation of log focal length that straight lines leave to a straight picture
 _CLEARLY = 3.5  # deviations off 1 at which an image circle proves that pixels are not square
 
@@ -95,6 +98,7 @@ def fit_lens(
     circles: Sequence[ImageCircle | None] = (),
     observations: Sequence[Observation] = (),
     starts: Sequence[KannalaBrandt] = (),
+    rims: Sequence[Float[np.ndarray, "_ 2"]] = (),
 ) -> LensFit:
     """Find the lens under which the curves of all pictures are straight.
 
@@ -107,6 +111,7 @@ def fit_lens(
         observations: What else is known of the lens; see `classical.fit.observations`. What holds
             for lenses in general (`generic_prior`) is always believed.
         starts: Lenses to begin with beside those of the global search.
+        rims: The outermost pixels that each picture shows (`find_rim`), which the lens reaches.
 
     Returns:
         The fit. Straight lines stay straight when the rectified plane is scaled, so the scale
@@ -115,7 +120,8 @@ def fit_lens(
     """
     with _CONTROLLER.limit(limits=1, user_api="blas"):
         known = _known(circles, observations, width)
-        return _fit(curve_sets, width, height, config=config, known=known, starts=starts)
+        rim = np.concatenate([np.zeros((0, 2)), *rims])
+        return _fit(curve_sets, width, height, config=config, known=known, starts=starts, rim=rim)
 
 
 def _known(
@@ -137,6 +143,7 @@ def _fit(
     config: FitConfig,
     known: Known,
     starts: Sequence[KannalaBrandt],
+    rim: Float[np.ndarray, "n 2"],
 ) -> LensFit:
     pool = [_longest(curves, config.max_curves) for curves in curve_sets]
     if not any(pool):
@@ -163,6 +170,8 @@ def _fit(
         candidate = _unless_straight(candidate, curve_sets, joined, known, config)
     if config.vanishing is not None:
         candidate = _with_scale(candidate, joined, config)
+    if len(rim) and not candidate.note:
+        candidate = _reaching(candidate, rim)
     return _report(candidate, joined, config=config)
 
 
@@ -332,6 +341,12 @@ def _with_scale(
         return best
     source = "vanishing points" if fused.gain > 0.5 else best.scale_source
     return replace(best, camera=fused.camera, covariance=fused.covariance, scale_source=source)
+
+
+def _reaching(best: _Candidate, rim: Float[np.ndarray, "n 2"]) -> _Candidate:
+    """The nearest lens that reaches all that the pictures show, or a word where none is near."""
+    found = reaching(best.camera, best.covariance, rim)
+    return replace(best, camera=found.camera, note="" if found.reaches else _FALLS_SHORT)
 
 
 def _failure(curve_sets: Sequence[Sequence[Curve]], reason: str) -> LensFit:
