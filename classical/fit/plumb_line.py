@@ -12,9 +12,10 @@ from threadpoolctl import ThreadpoolController
 from classical.camera import KannalaBrandt
 from classical.fit.bends import BendConfig
 from classical.fit.fitted import STRAIGHT_PX, fitted_curves
-from classical.fit.observations import Observation, of_circles
+from classical.fit.observations import Observation, observed, of_circles
 from classical.fit.parallels import ParallelsConfig
 from classical.fit.perspective import Perspective, PerspectiveConfig, perspective_instead
+from classical.fit.prior import LensPrior
 from classical.fit.quality import disagreement, judge, predicted_error
 from classical.fit.reach import reaching
 from classical.fit.result import LensFit
@@ -344,8 +345,13 @@ def _with_scale(
 
 
 def _reaching(best: _Candidate, rim: Float[np.ndarray, "n 2"]) -> _Candidate:
-    """The nearest lens that reaches all that the pictures show, or a word where none is near."""
-    found = reaching(best.camera, best.covariance, rim)
+    """The nearest lens that reaches all that the pictures show, or a word where none is near.
+
+    The rim tells no scale, so that is held.
+    """
+    belief = LensPrior(best.camera.normalized().to_vector(), best.covariance)
+    held = observed(belief, held_scale(best.camera)).covariance
+    found = reaching(best.camera, held, rim)
     return replace(best, camera=found.camera, note="" if found.reaches else _FALLS_SHORT)
 
 
