@@ -1,4 +1,4 @@
-"""The shipped networks by PyTorch and by ONNX Runtime, one thread each."""
+"""The networks by PyTorch and by ONNX Runtime."""
 
 from __future__ import annotations
 
@@ -13,38 +13,57 @@ from benchmarks.timing import in_turn
 from learned.export import export_onnx
 from learned.larecnet import LaRecNet
 from learned.predictor import LINES_VIEW
+from learned.presets import PAPER, SIZE
 from learned.weights import load_weights, packaged
 
 VIEW = (LINES_VIEW * 6 // 7, LINES_VIEW)  # of line perception; it pads to multiples of 64 and more
+PAPER_FRAME = (SIZE, SIZE)
 
 
 def measure_networks(rounds: int) -> dict[str, dict[str, float]]:
     """Seconds of one picture by network and runtime; that they answer alike is tested."""
-    network = load_weights(packaged("compact"), LaRecNet).network.eval()
-    frame = network.cfg.frame
+    compact = load_weights(packaged("compact"), LaRecNet).network.eval()
+    frame = (compact.cfg.frame, compact.cfg.frame)
+    paper = LaRecNet(PAPER.network).eval()  # how long it takes does not depend on weights
+    return {
+        **_measured("compact", compact, (VIEW, frame), rounds, threads=1),
+        **_measured("compact", compact, (PAPER_FRAME, PAPER_FRAME), rounds, threads=2),
+        **_measured("paper", paper, (PAPER_FRAME, PAPER_FRAME), rounds, threads=2),
+    }
+
+
+def _measured(
+    preset: str,
+    network: LaRecNet,
+    sides: tuple[tuple[int, int], tuple[int, int]],
+    rounds: int,
+    *,
+    threads: int,
+) -> dict[str, dict[str, float]]:
+    """Line perception alone, then LaRecNet, which holds it, at these heights and widths."""
     rng = np.random.default_rng(0)
     before = torch.get_num_threads()
-    torch.set_num_threads(1)
+    torch.set_num_threads(threads)
     found = {}
     try:
         with tempfile.TemporaryDirectory() as folder:
-            paths = export_onnx(network, Path(folder), size=frame)
-            sides = (VIEW, (frame, frame))
-            modules = (network.dlp, network)
-            for path, side, module in zip(paths, sides, modules, strict=True):
+            paths = export_onnx(network, Path(folder), size=sides[1][0])
+            for path, side, module in zip(paths, sides, (network.dlp, network), strict=True):
                 image = rng.random((1, 3, *side), dtype=np.float32)
-                name = {"dlp": "line perception", "larecnet": "LaRecNet"}[path.stem]
-                found[f"{name}, {side[1]}x{side[0]}"] = _compare(module, path, image, rounds)
+                part = {"dlp": "line perception", "larecnet": "both networks"}[path.stem]
+                cores = "one thread" if threads == 1 else f"{threads} threads"
+                name = f"{preset}: {part}, {side[1]}x{side[0]}, {cores}"
+                found[name] = _compare(module, path, image, rounds, threads)
     finally:
         torch.set_num_threads(before)
     return found
 
 
 def _compare(
-    module: torch.nn.Module, path: Path, image: np.ndarray, rounds: int
+    module: torch.nn.Module, path: Path, image: np.ndarray, rounds: int, threads: int
 ) -> dict[str, float]:
     options = onnxruntime.SessionOptions()
-    options.intra_op_num_threads = 1
+    options.intra_op_num_threads = threads
     session = onnxruntime.InferenceSession(str(path), options, providers=["CPUExecutionProvider"])
     module = module.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
     tensor = torch.from_numpy(image).contiguous(memory_format=torch.channels_last)
