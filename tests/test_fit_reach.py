@@ -102,7 +102,7 @@ def inner_lines(most: float) -> list[Curve]:
     return curves
 
 
-def test_fit_reaches_the_rim_or_says_that_it_does_not() -> None:
+def test_fit_reaches_the_rim_or_says_that_it_does_not(monkeypatch: pytest.MonkeyPatch) -> None:
     curves = inner_lines(130.0)
     alone = fit_lens([curves], SIZE, SIZE)
     assert alone.camera is not None
@@ -111,6 +111,11 @@ def test_fit_reaches_the_rim_or_says_that_it_does_not() -> None:
     assert fit.camera is not None
     assert fit.camera.unproject(near)[1].all()
     assert not alone.camera.unproject(near)[1].all()
+    fit = fit_lens([curves], SIZE, SIZE, rims=[far])
+    assert fit.camera is not None
+    assert fit.camera.theta_max > np.radians(75)  # all that a flat picture shows is there
+    assert "rim" not in fit.reason
+    monkeypatch.setattr("classical.fit.plumb_line._SHOWN", np.pi)
     fit = fit_lens([curves], SIZE, SIZE, rims=[far])
     assert fit.status == "degraded"
     assert "rim" in fit.reason

@@ -39,6 +39,7 @@ from classical.lines import Curve, ImageCircle, join_curves
 _CONTROLLER = ThreadpoolController()
 _STRAIGHT = "the lines are straight already"
 _PERHAPS_STRAIGHT = "the lines look straight already, but they could not tell a fisheye"
+_SHOWN = np.radians(75.0)  # no frame takes in more by itself
 _FALLS_SHORT = "the lens found does not reach the rim of the picture"
 _OPEN_SCALE = 0.5  # deviation of log focal length that straight lines leave to a straight picture
 _CLEARLY = 3.5  # deviations off 1 at which an image circle proves that pixels are not square
@@ -347,12 +348,14 @@ def _with_scale(
 def _reaching(best: _Candidate, rim: Float[np.ndarray, "n 2"]) -> _Candidate:
     """The nearest lens that reaches all that the pictures show, or a word where none is near.
 
-    The rim tells no scale, so that is held.
+    The rim tells no scale, so that is held. A lens that turns far from its axis, as many do at the
+    soft border of their image circle, loses nothing that a flat picture could show.
     """
     belief = LensPrior(best.camera.normalized().to_vector(), best.covariance)
     held = observed(belief, held_scale(best.camera)).covariance
     found = reaching(best.camera, held, rim)
-    return replace(best, camera=found.camera, note="" if found.reaches else _FALLS_SHORT)
+    harmless = found.reaches or found.camera.theta_max > _SHOWN
+    return replace(best, camera=found.camera, note="" if harmless else _FALLS_SHORT)
 
 
 def _failure(curve_sets: Sequence[Sequence[Curve]], reason: str) -> LensFit:
