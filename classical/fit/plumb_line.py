@@ -172,7 +172,7 @@ def _fit(
         candidate = _unless_straight(candidate, curve_sets, joined, known, config)
     if config.vanishing is not None:
         candidate = _with_scale(candidate, joined, config)
-    if len(rim) and not candidate.note:
+    if len(rim) and not candidate.note and candidate.camera.theta_max < _SHOWN:
         candidate = _reaching(candidate, rim)
     return _report(candidate, joined, config=config)
 
@@ -348,14 +348,13 @@ def _with_scale(
 def _reaching(best: _Candidate, rim: Float[np.ndarray, "n 2"]) -> _Candidate:
     """The nearest lens that reaches all that the pictures show, or a word where none is near.
 
-    The rim tells no scale, so that is held. A lens that turns far from its axis, as many do at the
-    soft border of their image circle, loses nothing that a flat picture could show.
+    The rim tells no scale, so that is held. It is for lenses that turn near their axis: one that
+    turns far out, at the soft border of its image circle, loses nothing that a flat picture shows.
     """
     belief = LensPrior(best.camera.normalized().to_vector(), best.covariance)
     held = observed(belief, held_scale(best.camera)).covariance
     found = reaching(best.camera, held, rim)
-    harmless = found.reaches or found.camera.theta_max > _SHOWN
-    return replace(best, camera=found.camera, note="" if harmless else _FALLS_SHORT)
+    return replace(best, camera=found.camera, note="" if found.reaches else _FALLS_SHORT)
 
 
 def _failure(curve_sets: Sequence[Sequence[Curve]], reason: str) -> LensFit:
