@@ -1,11 +1,13 @@
 import os
+import sys
 from dataclasses import replace
 
 import numpy as np
 import pytest
 import torch
 
-from learned.slf.atlas import PATTERN
+from hybrid.cli import run
+from learned.slf.atlas import PATTERN, ROOM, load_atlas
 from learned.slf.boxes import first_hits
 from learned.slf.optics import optics
 from learned.slf.pack import Annotated, build_atlas, read_rgb
@@ -138,3 +140,42 @@ def test_the_rendered_lens_meets_the_camera_model(prior, tmp_path, textures):
     assert n > 20
     assert np.median(errors) < 0.05
     assert np.max(errors) < 0.1
+
+
+# stands in for Blender: panoramas that depend on the job alone
+RENDERER = """#!{python}
+import json, sys
+import cv2, numpy as np
+
+for line in sys.stdin:
+    job = json.loads(line)
+    assert np.array_equal(job["scene"]["rotation"], np.eye(3))  # level
+    rng = np.random.default_rng(job["seed"])
+    cv2.imwrite(job["panorama"], rng.integers(0, 255, (job["size"], 2 * job["size"], 3), np.uint8))
+    sys.stdout.write("@result " + json.dumps({{"index": job["index"], "error": None}}) + "\\n")
+    sys.stdout.flush()
+"""
+
+
+def test_room_panoramas_are_made_once_and_packed_as_rooms(tmp_path, capsys):
+    renderer, out, pack = tmp_path / "blender", tmp_path / "rooms", tmp_path / "rooms.pack"
+    renderer.write_text(RENDERER.format(python=sys.executable))
+    renderer.chmod(0o755)
+    words = ["synthesize", "room-panoramas", "--blender-python", str(renderer), "--out", str(out)]
+    words += ["--height", "64", "--workers", "1", "--count"]
+    assert run([*words, "2"]) == 0
+    first, second = out / "000000.png", out / "000001.png"
+    made, time = second.read_bytes(), first.stat().st_mtime_ns
+    second.unlink()
+    assert run([*words, "2"]) == 0  # goes on, to the same bytes
+    assert second.read_bytes() == made != first.read_bytes()
+    assert first.stat().st_mtime_ns == time
+    capsys.readouterr()
+    assert run([*words, "1", "--seed", "2"]) == 2
+    assert "expected panoramas made with" in capsys.readouterr().err
+    assert (
+        run(["synthesize", "pack", "--rooms", str(out), "--patterns", "0", "--out", str(pack)]) == 0
+    )
+    atlas = load_atlas(pack)
+    assert atlas.kind.tolist() == [ROOM, ROOM]
+    assert atlas.extent[0, 0].tolist() == [128, 64]
