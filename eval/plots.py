@@ -10,10 +10,10 @@ from jaxtyping import Float
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy import ndarray
-from scipy.stats import rankdata
 
 from eval.lines import THRESHOLDS, MatchCounts
 from eval.methods import Method
+from eval.summary import rank_correlation
 
 _INK = "#010203"  # stands for the page's text colour until the SVG is written
 _STYLE: Any = {
@@ -95,14 +95,12 @@ def error_by_fov(
 def trust(
     rows: Sequence[tuple[Method, Float[ndarray, " n"], Float[ndarray, " n"]]],
 ) -> Figure:
-    """True against expected error of each photograph, with their rank correlation."""
-    figure, axes = _axes("Expected error (px)", "True error, protocol 1 (px)")
+    """Aligned error against the expected one of each photograph, with their rank correlation."""
+    figure, axes = _axes("Expected error (px)", "Aligned error (px)")
     lows, highs = [], []
     for method, expected, true in rows:
-        known = np.isfinite(expected)
-        x, y = np.maximum(expected[known], 0.05), np.maximum(true[known], 0.05)
-        rank = np.corrcoef(rankdata(x), rankdata(y))[0, 1] if _varied(x, y) else np.nan
-        label = f"{method.full_name} (rank correlation {rank:.2f})"
+        x, y = np.maximum(expected, 0.05), np.maximum(true, 0.05)
+        label = f"{method.full_name} (rank correlation {rank_correlation(expected, true):.2f})"
         axes.scatter(x, y, s=16, color=method.color, alpha=0.7, label=label, linewidths=0)
         lows.append(min(x.min(), y.min()))
         highs.append(max(x.max(), y.max()))
@@ -161,11 +159,6 @@ def _axes(x_label: str, y_label: str) -> tuple[Figure, Axes]:
         axes = figure.add_subplot()
         axes.set(xlabel=x_label, ylabel=y_label)
     return figure, axes
-
-
-def _varied(*columns: Float[ndarray, " n"]) -> bool:
-    """True where a rank correlation has a meaning."""
-    return all(len(values) > 2 and np.ptp(values) > 0 for values in columns)
 
 
 def _look(method: Method, index: int) -> dict[str, Any]:

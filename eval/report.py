@@ -23,8 +23,9 @@ from eval.summary import (
     median,
     paper_columns,
     straightness_columns,
+    trust_columns,
 )
-from eval.tables import ablation, make_table, overview, published_table
+from eval.tables import Table, ablation, make_table, overview, published_table
 
 _TEMPLATES = Path(__file__).parent / "templates"
 
@@ -33,6 +34,8 @@ _PROTOCOLS = (
     ("Protocol 2, aligned: after the best similarity", paper_columns("aligned")),
     ("Protocol 3, straightness; and angles, failures, time", straightness_columns()),
 )
+
+_TRUST = "How far a method can be trusted: the error that it expects, against the aligned error"
 
 KINDS = {
     "best": "Best",
@@ -100,7 +103,10 @@ def _suite_page(suite: SuiteScores, folder: RunFolder, *, show: bool) -> dict[st
         "origins": _origins(suite),
         "n": len(suite.names),
         "fov": f"{suite.fov.min():.0f}° to {suite.fov.max():.0f}°",
-        "tables": [make_table(caption, suite, columns) for caption, columns in _tables(suite)],
+        "tables": [
+            *(make_table(caption, suite, columns) for caption, columns in _tables(suite)),
+            *_trust_table(suite),
+        ],
         "real": make_table("Protocol 4, real cameras: all photographs", suite, camera_columns())
         if suite.is_real
         else None,
@@ -125,10 +131,17 @@ def _suite_page(suite: SuiteScores, folder: RunFolder, *, show: bool) -> dict[st
 
 
 def _tables(suite: SuiteScores) -> Iterator[tuple[str, Sequence[Column]]]:
-    """Captions and columns of a suite's tables."""
+    """Captions and columns of a suite's tables of all methods."""
     yield from _PROTOCOLS
     if columns := fov_columns(suite.fov):
         yield "By horizontal field of view: median error in px (pictures in brackets)", columns
+
+
+def _trust_table(suite: SuiteScores) -> Iterator[Table]:
+    """What the methods say of their own error, where any says something."""
+    rows = tuple(row for row in suite.methods if row.expects.any())
+    if rows:
+        yield make_table(_TRUST, SuiteScores(suite.config, suite.names, rows), trust_columns())
 
 
 def _figures(suite: SuiteScores) -> Iterator[dict[str, str]]:
@@ -146,12 +159,12 @@ def _figures(suite: SuiteScores) -> Iterator[dict[str, str]]:
         caption = f"Aligned error against field of view on {suite.name}"
         yield _figure(plots.error_by_fov(errors, suite.fov), caption)
     trust = [
-        (row.method, row.values("predicted_error_px"), row.values("paper", "rpe"))
+        (row.method, row.values("predicted_error_px")[kept], row.values("aligned", "rpe")[kept])
         for row in suite.methods
-        if np.isfinite(row.values("predicted_error_px")).any()
+        if (kept := row.expects).any()
     ]
     if trust:
-        caption = f"Error that a method expects of itself, against its true error, on {suite.name}"
+        caption = f"Error that a method expects of itself, against its aligned one, on {suite.name}"
         yield _figure(plots.trust(trust), caption)
     times = [(row.method, row.values("seconds")) for row in suite.methods]
     if any(np.median(values) > 1e-3 for _, values in times):

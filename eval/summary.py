@@ -10,7 +10,9 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, Float, Int
 from numpy import ndarray
+from scipy.stats import rankdata
 
+from classical.fit import LARGEST_ERROR
 from eval.folder import RunFolder
 from eval.lines import MatchCounts
 from eval.methods import EVERY, IDENTITY, METHODS, Method, method_of
@@ -34,6 +36,11 @@ class MethodScores:
     def failed(self) -> Bool[ndarray, " n"]:
         """Where the method gave no camera; such photographs count as left alone."""
         return np.array([record["status"] == "failed" for record in self.records])
+
+    @cached_property
+    def expects(self) -> Bool[ndarray, " n"]:
+        """Where the method gave a camera and the error that it expects of it."""
+        return np.isfinite(self.values("predicted_error_px")) & ~self.failed
 
     def counts(self, protocol: str) -> MatchCounts | None:
         """Matches of line pixels summed over the suite; `None` where no lines are marked."""
@@ -178,6 +185,45 @@ def camera_columns() -> tuple[Column, ...]:
         Column("Worse than left alone", ".0%", _worse_share),
         Column("Failed", ".0f", lambda row, _: float(row.failed.sum()), ""),
     )
+
+
+def trust_columns() -> tuple[Column, ...]:
+    """How far what a method says of its own error comes true, by the aligned error it speaks of."""
+    return (
+        Column(
+            "Rank correlation", ".2f", lambda row, _: rank_correlation(*_expected_and_true(row)), ""
+        ),
+        Column("True / expected, median", ".2f", _true_to_expected, ""),
+        Column("Called ok", ".0f", lambda row, _: float(_is_ok(row).sum()), ""),
+        Column(f"Of these under {LARGEST_ERROR:g} px", ".1%", _honest_share, ""),
+    )
+
+
+def rank_correlation(expected: Float[ndarray, " n"], true: Float[ndarray, " n"]) -> float:
+    """Spearman's rank correlation; NaN for fewer than three values or where all are alike."""
+    if len(true) < 3 or np.ptp(expected) == 0 or np.ptp(true) == 0:
+        return float("nan")
+    return float(np.corrcoef(rankdata(expected), rankdata(true))[0, 1])
+
+
+def _expected_and_true(row: MethodScores) -> tuple[Float[ndarray, " n"], Float[ndarray, " n"]]:
+    kept = row.expects
+    return row.values("predicted_error_px")[kept], row.values("aligned", "rpe")[kept]
+
+
+def _true_to_expected(row: MethodScores, _: SuiteScores) -> float:
+    expected, true = _expected_and_true(row)
+    return median(true / np.maximum(expected, 1e-9))
+
+
+def _is_ok(row: MethodScores) -> Bool[ndarray, " n"]:
+    return np.array([record["status"] == "ok" for record in row.records])
+
+
+def _honest_share(row: MethodScores, _: SuiteScores) -> float:
+    """Share under `LARGEST_ERROR` of what was called ok."""
+    errors = row.values("aligned", "rpe")[_is_ok(row)]
+    return float(np.mean(errors < LARGEST_ERROR)) if len(errors) else float("nan")
 
 
 def fov_columns(fov: Float[ndarray, " n"]) -> tuple[Column, ...]:

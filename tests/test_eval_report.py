@@ -3,6 +3,7 @@
 import csv
 import json
 import re
+import shutil
 from html.parser import HTMLParser
 from pathlib import Path
 
@@ -19,6 +20,7 @@ from eval.gallery import choose, network_maps
 from eval.methods import Method, method_of
 from eval.open_suite import bend, open_suite
 from eval.published import SLF
+from eval.report import write_report
 from eval.summary import (
     Column,
     MethodScores,
@@ -28,6 +30,7 @@ from eval.summary import (
     load_scores,
     median,
     paper_columns,
+    trust_columns,
 )
 from eval.tables import make_table, published_table
 from hybrid import read_picture
@@ -195,6 +198,31 @@ def test_the_report_has_a_table_by_field_of_view(finished, tmp_path, monkeypatch
         text = (tmp_path / name).read_text(encoding="utf-8")
         assert text.count(f"{words}: median") >= 1
         assert text.count("Aligned, under") == 1  # the drawn set has one lens
+
+
+def test_trust_compares_the_expected_error_with_the_aligned_one():
+    row = scores_of(0.5, 1.0, 2.0, 4.0, 99.0, tag="hybrid", failed=1)
+    for record, expected in zip(row.records, [0.4, 1.0, 3.0, 2.5, 50.0], strict=True):
+        record["predicted_error_px"] = expected
+    row.records[1]["status"] = "degraded"
+    suite = SuiteScores({}, tuple("abcde"), (row,))
+    rank, ratio, ok, honest = (column.value(row, suite) for column in trust_columns())
+    assert rank == pytest.approx(0.8)  # of four pictures: the failure gave no lens
+    assert ratio == pytest.approx((1.0 + 1.25) / 2)
+    assert ok == 3
+    assert honest == pytest.approx(2 / 3)
+
+
+def test_the_report_tells_how_far_what_expects_an_error_can_be_trusted(finished, tmp_path):
+    run = RunFolder(shutil.copytree(finished / "runs" / "drawn", tmp_path / "drawn"))
+    write_report([run], tmp_path)
+    assert "can be trusted" not in (tmp_path / "report.md").read_text()
+    for index, name in enumerate(load_scores(run).names):
+        scores = json.loads(run.score(name).read_text())
+        scores["methods"]["identity"]["predicted_error_px"] = 1.0 + index
+        run.score(name).write_text(json.dumps(scores))
+    write_report([run], tmp_path)
+    assert "can be trusted" in (tmp_path / "report.md").read_text()
 
 
 def test_median_ignores_what_is_unknown():
