@@ -16,6 +16,7 @@ from numpy import ndarray
 from torch import Tensor
 
 from classical.camera import Division, KannalaBrandt
+from learned.inference import folded
 from learned.larecnet import LaRecNet
 from learned.letterbox import Letterbox, as_tensor, resized
 from learned.mirror import mean_estimate
@@ -78,15 +79,16 @@ class Predictor:
     """A loaded LaRecNet for many pictures.
 
     Args:
-        network: The network.
+        network: The network; a folded copy is kept, which is for inference alone.
         card: Its model card.
         device: Where it runs.
     """
 
+    @_one_thread()
     def __init__(
         self, network: LaRecNet, card: dict[str, Any] | None = None, *, device: str = "cpu"
     ) -> None:
-        self.network = network.eval().to(device)
+        self.network = folded(network).to(device)
         self.network.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
         self.card = card or {}
         self.device = device
@@ -178,7 +180,7 @@ class RongPredictor:
     """The baseline of Rong et al. for many pictures; see `Predictor`."""
 
     def __init__(self, network: RongNet, card: dict[str, Any] | None = None) -> None:
-        self.network = network.eval()
+        self.network = folded(network)
         self.card = card or {}
 
     @classmethod

@@ -66,7 +66,7 @@ class PyramidResidual(nn.Module):
         self.branches = nn.ModuleList(PyramidBranch(middle, branch, s) for s in scales)
         self.merge = nn.Sequential(nn.BatchNorm2d(middle), nn.ReLU(inplace=True))
         self.expand = nn.Conv2d(middle, channels_out, 1, bias=False)
-        self.norm = nn.BatchNorm2d(channels_out)
+        self.norm: nn.Module = nn.BatchNorm2d(channels_out)
         same = channels_in == channels_out
         self.skip = nn.Identity() if same else nn.Conv2d(channels_in, channels_out, 1, bias=False)
 
