@@ -67,17 +67,21 @@ def mean_estimate(network: LaRecNet, image: Float[Tensor, "b 3 h w"]) -> MeanEst
         image: Pictures at the network's frame.
     """
     seen = network.dlp.maps(image) if network.uses_lines else None
-    lenses, spreads = [], []
-    for dims in MIRRORS:
-        flipped = image.flip(dims).contiguous(memory_format=torch.channels_last)
-        out = network(flipped, seen=None if seen is None else seen.flip(dims))
-        sign = _signs(dims).to(out.k)
-        lenses.append(out.k * sign)
-        if out.estimate.cholesky is not None:
-            spread = network.parameters_of_lens.covariance(out.estimate.cholesky)
-            spreads.append(spread * sign * sign[:, None])
-    covariance = torch.stack(spreads).mean(0) if spreads else None
-    return MeanEstimate(torch.stack(lenses).mean(0), covariance, seen)
+    out = network(_all_mirrored(image), seen=None if seen is None else _all_mirrored(seen))
+    signs = torch.stack([_signs(dims) for dims in MIRRORS]).to(out.k)[:, None]
+    k = out.k.unflatten(0, (len(MIRRORS), -1)) * signs
+    covariance = None
+    if out.estimate.cholesky is not None:
+        spread = network.parameters_of_lens.covariance(out.estimate.cholesky)
+        each = spread.unflatten(0, (len(MIRRORS), -1)) * signs[..., None] * signs[..., None, :]
+        covariance = each.mean(0)
+    return MeanEstimate(k.mean(0), covariance, seen)
+
+
+def _all_mirrored(pictures: Float[Tensor, "b c h w"]) -> Float[Tensor, "4*b c h w"]:
+    """The batch once for each of `MIRRORS`: one pass over all is faster than four."""
+    flipped = torch.cat([pictures.flip(dims) for dims in MIRRORS])
+    return flipped.contiguous(memory_format=torch.channels_last)
 
 
 def _signs(dims: tuple[int, ...]) -> Float[Tensor, " 9"]:
