@@ -11,12 +11,13 @@ from threadpoolctl import ThreadpoolController
 
 from classical.camera import KannalaBrandt
 from classical.fit.bends import BendConfig
+from classical.fit.calibrated import calibrated
 from classical.fit.fitted import STRAIGHT_PX, fitted_curves
 from classical.fit.observations import Observation, observed, of_circles
 from classical.fit.parallels import ParallelsConfig
 from classical.fit.perspective import Perspective, PerspectiveConfig, perspective_instead
 from classical.fit.prior import LensPrior
-from classical.fit.quality import disagreement, judge, predicted_error
+from classical.fit.quality import TAIL, disagreement, judge, predicted_error
 from classical.fit.reach import reaching
 from classical.fit.result import LensFit
 from classical.fit.rounds import REFERENCE_WIDTH, Known, Settled, settle
@@ -56,9 +57,6 @@ class FitConfig:
         spacing: Distance between samples on a curve.
         max_curves: Longest curves used in each picture.
         joinings: How often pieces of one line are joined under the lens and the fit repeated.
-        covariance_redundancy: As `SolverConfig.redundancy`, for the covariance. The fit guards
-            against curves that err together; what it reaches on average is better than that, and
-            this value makes the predicted errors of held-out synthetic pictures come true.
         perspective: When a picture is taken for straight already; None means never.
         parallels: How lines of one direction help the bends; None leaves the lens to the bends.
         vanishing: How orthogonal vanishing points fix the scale; None leaves it to the prior.
@@ -72,7 +70,6 @@ class FitConfig:
     spacing: float = 14.0
     max_curves: int = 120
     joinings: int = 1
-    covariance_redundancy: float = 1.5
     perspective: PerspectiveConfig | None = field(default_factory=PerspectiveConfig)
     parallels: ParallelsConfig | None = field(default_factory=ParallelsConfig)
     vanishing: VanishingConfig | None = field(default_factory=VanishingConfig)
@@ -101,6 +98,7 @@ def fit_lens(
     observations: Sequence[Observation] = (),
     starts: Sequence[KannalaBrandt] = (),
     rims: Sequence[Float[np.ndarray, "_ 2"]] = (),
+    second: LensPrior | None = None,
 ) -> LensFit:
     """Find the lens under which the curves of all pictures are straight.
 
@@ -114,6 +112,8 @@ def fit_lens(
             for lenses in general (`generic_prior`) is always believed.
         starts: Lenses to begin with beside those of the global search.
         rims: The outermost pixels that each picture shows (`find_rim`), which the lens reaches.
+        second: Another estimate of the lens, as sure as it says itself, to tell by how far the two
+            agree how far the fit is to be trusted; it does not move the fit.
 
     Returns:
         The fit. Straight lines stay straight when the rectified plane is scaled, so the scale
@@ -123,7 +123,12 @@ def fit_lens(
     with _CONTROLLER.limit(limits=1, user_api="blas"):
         known = _known(circles, observations, width)
         rim = np.concatenate([np.zeros((0, 2)), *rims])
-        return _fit(curve_sets, width, height, config=config, known=known, starts=starts, rim=rim)
+        best, joined = _fit(
+            curve_sets, width, height, config=config, known=known, starts=starts, rim=rim
+        )
+        if best is None:
+            return _failure(curve_sets, "no curve was found that could be a straight line")
+        return _report(best, joined, config=config, second=second)
 
 
 def _known(
@@ -146,10 +151,11 @@ def _fit(
     known: Known,
     starts: Sequence[KannalaBrandt],
     rim: Float[np.ndarray, "n 2"],
-) -> LensFit:
+) -> tuple[_Candidate | None, Sequence[Sequence[Curve]]]:
+    """The lens, None without any curve, and the curves as they were joined under it."""
     pool = [_longest(curves, config.max_curves) for curves in curve_sets]
     if not any(pool):
-        return _failure(curve_sets, "no curve was found that could be a straight line")
+        return None, curve_sets
     samples = _samples(pool, width, config)
     starts = [
         *(start.normalized() for start in starts),
@@ -174,7 +180,7 @@ def _fit(
         candidate = _with_scale(candidate, joined, config)
     if len(rim) and not candidate.note and candidate.camera.theta_max < _SHOWN:
         candidate = _reaching(candidate, rim)
-    return _report(candidate, joined, config=config)
+    return candidate, joined
 
 
 def _best(
@@ -204,7 +210,6 @@ def _settled(
         tolerances=config.tolerances,
         bend=config.bend,
         solver=config.solver,
-        covariance_redundancy=config.covariance_redundancy,
         parallels=parallels,
     )
 
@@ -250,7 +255,11 @@ def _final_cost(
 
 
 def _report(
-    best: _Candidate, curve_sets: Sequence[Sequence[Curve]], *, config: FitConfig
+    best: _Candidate,
+    curve_sets: Sequence[Sequence[Curve]],
+    *,
+    config: FitConfig,
+    second: LensPrior | None,
 ) -> LensFit:
     """All curves under the final lens, and how far to trust it."""
     tolerance = config.inlier_tolerance * best.camera.width / REFERENCE_WIDTH
@@ -260,17 +269,18 @@ def _report(
     inliers = [curve for picture in curves for curve in picture if curve.inlier]
     every = np.concatenate([curve.residuals for curve in inliers]) if inliers else np.array([])
     rms = float(np.sqrt((every**2).mean())) if inliers else float("nan")
-    error = best.error
+    error, covariance = best.error, best.covariance
     if error is None:
-        error = predicted_error(best.camera, best.covariance)
+        covariance = calibrated(best.camera, covariance, second)
+        error = predicted_error(best.camera, covariance)
     status, reason = judge(curves, best.camera, error)
     if best.note and status == "ok":
         status = "ok" if best.note == _STRAIGHT else "degraded"
         reason = best.note
-    deviation = float(np.sqrt(scale_variance(scale_tangent(best.camera), best.covariance)))
+    deviation = float(np.sqrt(scale_variance(scale_tangent(best.camera), covariance)))
     return LensFit(
         best.camera,
-        best.covariance,
+        covariance,
         status,
         reason,
         curves,
@@ -306,7 +316,7 @@ def _unless_straight(
     sure = np.diag([*(camera.k[0] * np.full(5, 1e-4)), 0.0, *(1e-4 * camera.m_u * np.ones(3))]) ** 2
     covariance = sure + np.outer(tangent, tangent)
     note = _STRAIGHT if straight.proven else _PERHAPS_STRAIGHT
-    error = 0.5 * disagreement(camera, best.camera)
+    error = disagreement(camera, best.camera) / TAIL  # at most what the bend would move
     return _Candidate(camera, covariance, best.scale_source, note, error)
 
 

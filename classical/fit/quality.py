@@ -12,7 +12,10 @@ from classical.fit.result import FittedCurve, Status
 from classical.lines.pieces import arc_length
 
 LARGEST_ERROR = 3.0
-"""Predicted error up to which an answer is ok, pixels of a 320 frame, f = 160 px."""
+"""Error under which answers that are ok should be, pixels of a 320 frame, f = 160 px."""
+
+TAIL = 3.0
+"""Times the predicted error of a fit that a true one may well be; few are more."""
 
 _FRAME_FOCAL = 160.0  # px: a frame 320 wide, 90° across
 _WIDEST = np.radians(60.0)
@@ -117,20 +120,21 @@ def judge(
     Args:
         curves: Fitted curves of each picture.
         camera: The estimate.
-        error: `predicted_error` of it.
+        error: `predicted_error` of it by its `calibrated` covariance.
     """
+    most = TAIL * error
     inliers = [curve for picture in curves for curve in picture if curve.inlier]
     straight, total = _lengths(curves)
     length, share = straight / camera.width, straight / max(total, 1e-9)
     if len(inliers) < _FEWEST_CURVES:
         return "failed", f"only {len(inliers)} curves can be made straight, {_FEWEST_CURVES} needed"
-    if not error < _HOPELESS_ERROR:
+    if not most < _HOPELESS_ERROR:
         return "failed", f"the curves leave the lens open: predicted error {error:.1f} px"
     if length < _LEAST_LENGTH:
         return "degraded", f"few straight lines: {length:.1f} picture widths in all"
     if share < _LEAST_SHARE:
         return "degraded", f"only {share:.0%} of the curves' length could be made straight"
-    if error > LARGEST_ERROR:
+    if most > LARGEST_ERROR:
         return "degraded", f"the lines tell little: predicted error {error:.1f} px"
     return "ok", f"{len(inliers)} straight lines agree"
 

@@ -68,7 +68,6 @@ def settle(
     tolerances: Sequence[float],
     bend: BendConfig,
     solver: SolverConfig,
-    covariance_redundancy: float,
     parallels: ParallelsConfig | None = None,
 ) -> Settled:
     """Solve in rounds; each re-weights curves by how straight the last lens made them.
@@ -81,7 +80,6 @@ def settle(
             pixels of a picture 1280 wide.
         bend: How far straight lines look bent.
         solver: The local solver.
-        covariance_redundancy: As `SolverConfig.redundancy`, for the covariance.
         parallels: How lines of one direction hold the lens beside their bends; None leaves it to
             the bends.
     """
@@ -107,9 +105,7 @@ def settle(
         solution = solve(problem.residuals, problem.jacobian, belief.encode(camera), config=solver)
         camera = belief.decode(solution.value, camera.width, camera.height)
         information = solution.information
-    data = (information - np.eye(8)) * solver.redundancy / covariance_redundancy
-    spread = np.linalg.inv(data + np.eye(8))
-    return Settled(camera, belief.factor @ spread @ belief.factor.T)
+    return Settled(camera, belief.factor @ np.linalg.inv(information) @ belief.factor.T)
 
 
 def _directions(
