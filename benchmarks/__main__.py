@@ -37,9 +37,10 @@ SECTIONS = {
     ),
     "networks": (
         "PyTorch and ONNX Runtime",
-        "One picture. The first rows are how the shipped networks are used, the others both "
-        "presets at the paper's frame; `paper` with random weights. `rectify` uses PyTorch: the "
-        "networks work while edges are found, so ONNX Runtime would gain it little.",
+        "One picture, in PyTorch as `rectify` runs it, with batch norms folded into convolutions. "
+        "The first rows are how the shipped networks are used, on one thread so that an answer is "
+        "the same to the last bit, while edges are found on others; the rest are both presets at "
+        "the paper's frame, `paper` with random weights.",
     ),
     "training": (
         "Training",

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import tempfile
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import onnxruntime
 import torch
 
-from benchmarks.timing import in_turn
+from benchmarks.timing import median_seconds
 from learned.export import export_onnx
+from learned.inference import folded
 from learned.larecnet import LaRecNet
 from learned.predictor import LINES_VIEW
 from learned.presets import PAPER, SIZE
@@ -18,6 +20,7 @@ from learned.weights import load_weights, packaged
 
 VIEW = (LINES_VIEW * 6 // 7, LINES_VIEW)  # of line perception; it pads to multiples of 64 and more
 PAPER_FRAME = (SIZE, SIZE)
+_WARM = 3
 
 
 def measure_networks(rounds: int) -> dict[str, dict[str, float]]:
@@ -65,13 +68,23 @@ def _compare(
     options = onnxruntime.SessionOptions()
     options.intra_op_num_threads = threads
     session = onnxruntime.InferenceSession(str(path), options, providers=["CPUExecutionProvider"])
-    module = module.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
+    # as `Predictor` runs it
+    fast = folded(module).to(memory_format=torch.channels_last)  # type: ignore[call-overload]
     tensor = torch.from_numpy(image).contiguous(memory_format=torch.channels_last)
 
     def by_torch() -> object:
         with torch.inference_mode():
-            return module(tensor)
+            return fast(tensor)
 
-    return in_turn(
-        {"PyTorch": by_torch, "ONNX Runtime": lambda: session.run(None, {"image": image})}, rounds
-    )
+    # one after the other, not in turn: idle threads of either spin for a while and slow the other
+    return {
+        "PyTorch": _seconds(by_torch, rounds),
+        "ONNX Runtime": _seconds(lambda: session.run(None, {"image": image}), rounds),
+    }
+
+
+def _seconds(call: Callable[[], object], rounds: int) -> float:
+    """Median after some calls that warm up."""
+    for _ in range(_WARM):
+        call()
+    return median_seconds(call, 3 * rounds)
