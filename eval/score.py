@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, Float, UInt8
 from numpy import ndarray
+from threadpoolctl import threadpool_limits
 
 from classical.camera import KannalaBrandt
 from classical.files import atomic_path
@@ -161,9 +162,10 @@ def score_case(theta_max: float, tags: Sequence[str], folder: RunFolder, case: C
     if not stale:
         return
     truth = Truth(case, theta_max)
-    for tag in stale:
-        prediction = Prediction.load(folder.prediction(tag, case.name))
-        saved[tag] = {"digest": digests[tag], **score_prediction(prediction, truth)}
+    with threadpool_limits(1):  # sums keep their bits, whatever the number of workers
+        for tag in stale:
+            prediction = Prediction.load(folder.prediction(tag, case.name))
+            saved[tag] = {"digest": digests[tag], **score_prediction(prediction, truth)}
     record = {"version": SCORE_VERSION, "methods": saved}
     with atomic_path(target) as temporary:
         temporary.write_text(json.dumps(record), encoding="utf-8")
