@@ -351,6 +351,28 @@ def test_a_belief_in_a_fisheye_does_not_bend_a_straight_picture() -> None:
     assert "straight already" in fit.reason
 
 
+def test_a_belief_decides_where_the_lines_cannot_tell_straight_from_bent() -> None:
+    """Lines through the middle are straight under every lens."""
+    rng = np.random.default_rng(4)
+    angles = rng.uniform(0, np.pi, 8)
+    along = np.linspace(-200, 200, 60)[:, None]
+    middle = np.array([(WIDTH - 1) / 2, (HEIGHT - 1) / 2])
+    lines = [along * np.array([np.cos(a), np.sin(a)]) + middle for a in angles]
+    curves = [Curve(line + rng.normal(0, 0.3, line.shape), 0.3, 1.0) for line in lines]
+    general = generic_prior(float(LENS.k[0]), WIDTH, HEIGHT)
+    belief = of_belief(LensPrior(LENS.to_vector(), general.covariance * 0.1), "network")
+    without, with_ = (
+        fit_lens([curves], WIDTH, HEIGHT, observations=observations, starts=[LENS])
+        for observations in ([], [belief])
+    )
+    assert "straight already" in without.reason or without.status != "ok"
+    assert with_.status == "degraded"
+    assert "could not tell" in with_.reason
+    assert with_.camera is not None
+    assert without.camera is not None
+    assert aligned_error(with_.camera, LENS) < 0.5 * aligned_error(without.camera, LENS)
+
+
 def test_a_weak_bend_is_not_called_straight() -> None:
     truth = projection(1.5, 0.0, WIDTH, HEIGHT)
     curves = line_pictures(truth, 50, np.random.default_rng(11), noise=0.3)

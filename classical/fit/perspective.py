@@ -39,18 +39,27 @@ class PerspectiveConfig:
             frame by which it moves the picture, from which the bend is believed.
         least_evidence: A common fisheye must lose so much log likelihood against a perspective
             lens, or the curves cannot tell straight from bent.
+        least_say: If it loses less than this, they say nothing either way.
     """
 
     least_gain: float = 2.0
     least_proof: float = 6.0
     least_evidence: float = 12.5
+    least_say: float = 7.0
 
 
 class Perspective(NamedTuple):
-    """A perspective lens, and whether the curves speak for it or only not against it."""
+    """A perspective lens that the curves allow.
+
+    Attributes:
+        camera: The lens.
+        proven: Whether the curves speak for it, or only not against it.
+        untold: Whether they do not speak at all.
+    """
 
     camera: KannalaBrandt
     proven: bool
+    untold: bool
 
 
 def perspective_instead(
@@ -94,7 +103,8 @@ def perspective_instead(
     slight = gain * moved < config.least_proof  # False where they have nothing in common
     if gain >= config.least_gain and not slight:
         return None
-    return Perspective(straight, fisheye - flat >= config.least_evidence)
+    evidence = fisheye - flat
+    return Perspective(straight, evidence >= config.least_evidence, evidence < config.least_say)
 
 
 def _cost(bows: Float[np.ndarray, " curves"]) -> float:

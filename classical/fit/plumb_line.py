@@ -40,6 +40,7 @@ from classical.lines import Curve, ImageCircle, join_curves
 _CONTROLLER = ThreadpoolController()
 _STRAIGHT = "the lines are straight already"
 _PERHAPS_STRAIGHT = "the lines look straight already, but they could not tell a fisheye"
+_UNTOLD = "the lines could not tell a fisheye from a straight picture; the lens is a guess"
 _SHOWN = np.radians(75.0)  # no frame takes in more by itself
 _FALLS_SHORT = "the lens found does not reach the rim of the picture"
 _OPEN_SCALE = 0.5  # deviation of log focal length that straight lines leave to a straight picture
@@ -274,7 +275,7 @@ def _report(
         covariance = calibrated(best.camera, covariance, second)
         error = predicted_error(best.camera, covariance)
     status, reason = judge(curves, best.camera, error)
-    if best.note and status == "ok":
+    if best.note and (status == "ok" or (status == "degraded" and best.note == _UNTOLD)):
         status = "ok" if best.note == _STRAIGHT else "degraded"
         reason = best.note
     deviation = float(np.sqrt(scale_variance(scale_tangent(best.camera), covariance)))
@@ -301,7 +302,9 @@ def _unless_straight(
     """The perspective lens where it does as well; its scale is then open.
 
     Line perception was made to find bent lines and finds some in every picture, so a bend is not
-    believed where the curves that the picture shows by itself speak for straight lines.
+    believed where the curves that the picture shows by itself speak for straight lines. Where no
+    curve speaks, another estimate of the lens is the better guess: most pictures that come here
+    are bent.
     """
     straight = _perspective(best.camera, joined, known, config)
     own = [[curve for curve in curves if not curve.is_hinted] for curves in curve_sets]
@@ -311,6 +314,8 @@ def _unless_straight(
         straight = straight if straight is not None and straight.proven else None
     if straight is None:
         return best
+    if straight.untold and known.has_estimate:
+        return replace(best, note=_UNTOLD)
     camera = straight.camera
     tangent = scale_tangent(camera) * _OPEN_SCALE
     sure = np.diag([*(camera.k[0] * np.full(5, 1e-4)), 0.0, *(1e-4 * camera.m_u * np.ones(3))]) ** 2

@@ -34,6 +34,11 @@ class Known:
     observations: Sequence[Observation] = ()
     has_free_aspect: bool = False
 
+    @property
+    def has_estimate(self) -> bool:
+        """Whether another estimate of the lens is among them."""
+        return not all(observation.is_sure for observation in self.observations)
+
     def belief(self, camera: KannalaBrandt) -> LensPrior:
         """The prior near a camera, sharpened by all that was observed."""
         prior = generic_prior(
