@@ -99,8 +99,10 @@ def trust(
     figure, axes = _axes("Expected error (px)", "Aligned error (px)")
     lows, highs = [], []
     for method, expected, true in rows:
-        x, y = np.maximum(expected, 0.05), np.maximum(true, 0.05)
-        label = f"{method.full_name} (rank correlation {rank_correlation(expected, true):.2f})"
+        known = np.isfinite(expected)
+        rank = rank_correlation(expected[known], true[known])
+        x, y = np.maximum(expected[known], 0.05), np.maximum(true[known], 0.05)
+        label = f"{method.full_name} (rank correlation {rank:.2f})"
         axes.scatter(x, y, s=16, color=method.color, alpha=0.7, label=label, linewidths=0)
         lows.append(min(x.min(), y.min()))
         highs.append(max(x.max(), y.max()))

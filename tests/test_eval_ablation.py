@@ -25,7 +25,7 @@ from eval.published import PublishedRow
 from eval.summary import MethodScores, SuiteScores
 from learned.dlp import LinePerception
 from learned.jobs import WEIGHTS
-from learned.larecnet import LaRecNet
+from learned.predictor import Predictor
 from learned.presets import COMPACT
 from learned.slf.suite import SuiteCurve, SuiteFolder, SuiteItem
 from learned.weights import load_weights, save_weights
@@ -149,7 +149,7 @@ def test_kept_weights_are_the_calibration_alone_and_give_the_whole_network(
         assert not [name for name in file.keys() if name.startswith("dlp.")]  # noqa: SIM118
     assert json.loads((kept / "log.jsonl").read_text().splitlines()[-1])["step"] == 2
     again = load_variant(BL6, 1, out).network.state_dict()
-    whole = load_weights(out / "work" / "BL6-seed1" / WEIGHTS, LaRecNet).network.state_dict()
+    whole = Predictor.from_weights(out / "work" / "BL6-seed1" / WEIGHTS).network.state_dict()
     assert set(again) == set(whole)
     for name, value in whole.items():
         assert torch.equal(again[name], value), name
