@@ -58,6 +58,9 @@ class HybridConfig:
         lens_doubt: … and worst in the shape of the lens, so those of the lens as a whole are
             widened by more. Weights for pictures like their training set alone say themselves how
             far their lens is to be doubted: their card has a "doubt".
+        centring: Deviation of the principal points of real lenses in half picture widths, below
+            which LaRecNet is not believed: it trained on lenses, too, that are centred exactly,
+            and takes clean pictures to be of one.
         has_parallels: Lines that point in one direction help the bends.
         has_vanishing: Orthogonal vanishing points help to fix the scale.
     """
@@ -67,6 +70,7 @@ class HybridConfig:
     believes: bool = True
     field_doubt: float = 4.0
     lens_doubt: float = 8.0
+    centring: float = 0.0125
     has_parallels: bool = True
     has_vanishing: bool = True
 
@@ -137,7 +141,9 @@ class HybridEstimator:
             return [of_belief(belief, _NETWORK, doubt=float(doubt))]
         return [
             of_belief_field(belief, _NETWORK, doubt=self._hybrid.field_doubt),
-            of_belief(belief, _NETWORK, doubt=self._hybrid.lens_doubt),
+            of_belief(
+                belief, _NETWORK, doubt=self._hybrid.lens_doubt, centring=self._hybrid.centring
+            ),
         ]
 
     def _lineness(self, picture: UInt8[ndarray, "h w 3"]) -> Float[ndarray, "hh ww"]:

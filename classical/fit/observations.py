@@ -88,9 +88,21 @@ def of_circles(circles: Sequence[ImageCircle | None], width: int) -> Observation
     return Observation("image circle", _rows([*_CENTRE, _M_V]), value * units, spread)
 
 
-def of_belief(belief: LensPrior, source: str, *, doubt: float = 1.0) -> Observation:
-    """Another estimate of the whole lens, its deviations widened by `doubt`."""
-    covariance = belief.covariance[np.ix_(FREE, FREE)] * doubt**2
+def of_belief(
+    belief: LensPrior, source: str, *, doubt: float = 1.0, centring: float = 0.0
+) -> Observation:
+    """Another estimate of the whole lens.
+
+    Args:
+        belief: The estimate.
+        source: Who made it.
+        doubt: By how much its deviations are widened.
+        centring: Deviation of principal points in half picture widths, for an estimate that takes
+            lenses to be centred better than they are.
+    """
+    half = belief.mean[5]  # m_u, by the gauge
+    centre = np.isin(FREE, _CENTRE) * (centring * half) ** 2
+    covariance = belief.covariance[np.ix_(FREE, FREE)] * doubt**2 + np.diag(centre)
     return Observation(source, _rows(FREE.tolist()), belief.mean[FREE], covariance, is_sure=False)
 
 
