@@ -130,7 +130,6 @@ class HybridEstimator:
             observations=observations,
             starts=starts,
             rims=[find_rim(picture) for picture in pictures],
-            second=belief,
         )
         return replace(estimate_from_fit(fit), heatmaps=heatmaps)
 

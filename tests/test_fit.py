@@ -242,19 +242,6 @@ def test_predicted_error_ignores_similarities() -> None:
     assert predicted_error(LENS, bent) > 0.3
 
 
-def test_a_second_estimate_tells_how_far_to_trust_a_fit_and_does_not_move_it() -> None:
-    curves = line_pictures(LENS, 30, np.random.default_rng(8), noise=0.3)
-    sure = generic_prior(float(LENS.k[0]), WIDTH, HEIGHT).covariance * 0.05**2
-    vectors = (LENS.to_vector(), projection(1.2, -0.8, WIDTH, HEIGHT).to_vector())
-    alone = fit_lens([curves], WIDTH, HEIGHT)
-    near, far = (
-        fit_lens([curves], WIDTH, HEIGHT, second=LensPrior(vector, sure)) for vector in vectors
-    )
-    assert near.camera == alone.camera == far.camera
-    assert near.predicted_error_px < alone.predicted_error_px < far.predicted_error_px
-    assert near.scale_deviation == pytest.approx(far.scale_deviation)
-
-
 def test_solver_meets_a_known_minimum_with_prior() -> None:
     """Min (z − 3)² / redundancy + z² in one dimension."""
     from classical.fit import SolverConfig

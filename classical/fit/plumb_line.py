@@ -99,7 +99,6 @@ def fit_lens(
     observations: Sequence[Observation] = (),
     starts: Sequence[KannalaBrandt] = (),
     rims: Sequence[Float[np.ndarray, "_ 2"]] = (),
-    second: LensPrior | None = None,
 ) -> LensFit:
     """Find the lens under which the curves of all pictures are straight.
 
@@ -113,8 +112,6 @@ def fit_lens(
             for lenses in general (`generic_prior`) is always believed.
         starts: Lenses to begin with beside those of the global search.
         rims: The outermost pixels that each picture shows (`find_rim`), which the lens reaches.
-        second: Another estimate of the lens, as sure as it says itself, to tell by how far the two
-            agree how far the fit is to be trusted; it does not move the fit.
 
     Returns:
         The fit. Straight lines stay straight when the rectified plane is scaled, so the scale
@@ -129,7 +126,7 @@ def fit_lens(
         )
         if best is None:
             return _failure(curve_sets, "no curve was found that could be a straight line")
-        return _report(best, joined, config=config, second=second)
+        return _report(best, joined, config=config)
 
 
 def _known(
@@ -260,7 +257,6 @@ def _report(
     curve_sets: Sequence[Sequence[Curve]],
     *,
     config: FitConfig,
-    second: LensPrior | None,
 ) -> LensFit:
     """All curves under the final lens, and how far to trust it."""
     tolerance = config.inlier_tolerance * best.camera.width / REFERENCE_WIDTH
@@ -272,7 +268,7 @@ def _report(
     rms = float(np.sqrt((every**2).mean())) if inliers else float("nan")
     error, covariance = best.error, best.covariance
     if error is None:
-        covariance = calibrated(best.camera, covariance, second)
+        covariance = calibrated(best.camera, covariance)
         error = predicted_error(best.camera, covariance)
     status, reason = judge(curves, best.camera, error)
     if best.note and (status == "ok" or (status == "degraded" and best.note == _UNTOLD)):
