@@ -175,7 +175,14 @@ def _line(method: Method) -> str:
 
 def _legend(axes: Axes, columns: int = 2) -> None:
     with mpl.rc_context(_STYLE):
-        axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.16), ncols=columns)
+        axes.legend(
+            loc="upper center",
+            bbox_to_anchor=(0.5, -0.16),
+            ncols=columns,
+            fontsize="x-small",
+            columnspacing=1.0,
+            handlelength=1.6,
+        )
 
 
 def _plain_ticks(axes: Axes, ticks: Sequence[float | int], *, vertical: bool = False) -> None:
