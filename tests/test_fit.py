@@ -352,7 +352,6 @@ def test_a_belief_decides_where_the_lines_cannot_tell_straight_from_bent() -> No
         fit_lens([curves], WIDTH, HEIGHT, observations=observations, starts=[LENS])
         for observations in ([], [belief])
     )
-    assert "straight already" in without.reason or without.status != "ok"
     assert with_.status == "degraded"
     assert "could not tell" in with_.reason
     assert with_.camera is not None

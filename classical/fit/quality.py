@@ -129,13 +129,13 @@ def judge(
     if len(inliers) < _FEWEST_CURVES:
         return "failed", f"only {len(inliers)} curves can be made straight, {_FEWEST_CURVES} needed"
     if not most < _HOPELESS_ERROR:
-        return "failed", f"the curves leave the lens open: predicted error {error:.1f} px"
+        return "failed", f"the curves leave the lens open: the error may be {most:.1f} px"
     if length < _LEAST_LENGTH:
         return "degraded", f"few straight lines: {length:.1f} picture widths in all"
     if share < _LEAST_SHARE:
         return "degraded", f"only {share:.0%} of the curves' length could be made straight"
     if most > LARGEST_ERROR:
-        return "degraded", f"the lines tell little: predicted error {error:.1f} px"
+        return "degraded", f"the lines tell little: the error may be {most:.1f} px"
     return "ok", f"{len(inliers)} straight lines agree"
 
 
