@@ -51,6 +51,7 @@ class Assessment:
 
     Attributes:
         rpe: Mean RPE per sample, in pixels of the 320 frame, over θ ≤ 60°.
+        aligned: The same after the best scale and shift.
         psnr: Of the rectified picture against the ground truth, per sample, black kept, in dB.
         scores: Errors of the free parameters over their predicted standard deviations; empty where
             the weights predict none.
@@ -58,6 +59,7 @@ class Assessment:
     """
 
     rpe: Float[Tensor, " n"]
+    aligned: Float[Tensor, " n"]
     psnr: Float[Tensor, " n"]
     scores: Float[Tensor, "m 8"]
     counts: Float[Tensor, " 4"]
@@ -70,6 +72,8 @@ class Assessment:
             "rpe_mean_px": float(self.rpe.mean()),
             "rpe_median_px": float(self.rpe.median()),
             "rpe_p90_px": float(self.rpe.quantile(0.9)),
+            "aligned_median_px": float(self.aligned.median()),
+            "aligned_p90_px": float(self.aligned.quantile(0.9)),
             "psnr_db": float(self.psnr.mean()),
             "line_f": 2 * precision * recall / max(1e-9, precision + recall),
             "samples": float(len(self.rpe)),
@@ -93,12 +97,13 @@ def assess(network: LaRecNet, batches: Iterable[SlfBatch]) -> Assessment:
         network: In evaluation mode.
         batches: Samples with rectified pictures.
     """
-    rpe, psnr, scores = [], [], []
+    rpe, aligned, psnr, scores = [], [], [], []
     counts = torch.zeros(4, dtype=torch.float64)
     for batch in batches:
         image = resized(batch.image, network.cfg.frame, network.cfg.frame)
         out = mean_estimate(network, image.contiguous(memory_format=torch.channels_last))
         rpe.append(reprojection_errors(out.k, batch))
+        aligned.append(reprojection_errors(out.k, batch, aligned=True))
         mse = (rectify_images(batch.image, out.k) - batch.rectified).square().mean((1, 2, 3))
         psnr.append(-10.0 * torch.log10(mse.clamp_min(1e-10)))
         if out.covariance is not None:
@@ -108,9 +113,8 @@ def assess(network: LaRecNet, batches: Iterable[SlfBatch]) -> Assessment:
             sure = network.dlp.lineness(network.dlp(batch.image).raw)
             counts += torch.from_numpy(detection_counts(sure > 0.5, batch.line_map > 0))
     spread = torch.cat(scores) if scores else torch.zeros(0, len(FREE))
-    return Assessment(
-        torch.cat(rpe).float(), torch.cat(psnr).float(), spread.float(), counts.float()
-    )
+    rpe, aligned, psnr = (torch.cat(each).float() for each in (rpe, aligned, psnr))
+    return Assessment(rpe, aligned, psnr, spread.float(), counts.float())
 
 
 def fit_temperature(network: LaRecNet, batches: Iterable[SlfBatch]) -> float:
@@ -190,6 +194,8 @@ _ROWS = (
     ("RPE, mean (px)", "rpe_mean_px", ".2f"),
     ("RPE, median (px)", "rpe_median_px", ".2f"),
     ("RPE, 90th percentile (px)", "rpe_p90_px", ".2f"),
+    ("aligned error, median (px)", "aligned_median_px", ".2f"),
+    ("aligned error, 90th percentile (px)", "aligned_p90_px", ".2f"),
     ("PSNR (dB)", "psnr_db", ".2f"),
     ("F of the heatmap's lines", "line_f", ".3f"),
     ("90 % intervals that hold", "held_90", ".3f"),

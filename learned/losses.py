@@ -14,6 +14,7 @@ from torch import Tensor
 from torch.nn import functional
 
 OMEGA = (0.1, 0.1, 0.5, 1.0, 1.0, 0.1, 0.1, 0.1, 0.1)
+_SMALLEST_SQUARE = 1e-8  # half widths squared: a distance of zero has a gradient, too
 # black borders have no error: unclamped, U_A falls to 0 there and drowns every other gradient
 _SMALLEST_UNCERTAINTY = 0.1
 
@@ -27,6 +28,9 @@ class LossCfg:
         geo: λ_geo of Eq. loss (the ablation without L_geo sets 0).
         geo_scale: L_geo of a picture counts as s·log(1 + L_geo / s) with this s in half widths
             (ours; 0 = as it is, the paper).
+        shape: Weight of the shape loss (ours; 0 = none). The scale of a picture is often nowhere
+            in it, and its error drowns in L_geo what lines do tell.
+        shape_scale: s of the shape loss, as `geo_scale` of L_geo.
         pix: λ_pix of Eq. loss (the ablation without L_pix sets 0).
         fused: λ_fus of Eq. p_loss.
         glob: λ_glo of Eq. p_loss.
@@ -41,6 +45,8 @@ class LossCfg:
     para: float = 1.0
     geo: float = 100.0
     geo_scale: float = 0.0
+    shape: float = 0.0
+    shape_scale: float = 0.0
     pix: float = 1.0
     fused: float = 2.0
     glob: float = 1.0
@@ -175,7 +181,54 @@ def geometric_loss(
     weight = torch.where(on_line, line_weight, 1.0) * valid
     distance = (predicted - target).abs().sum(-1)
     each = (distance * weight).sum(1) / valid.sum(1).clamp_min(1)
-    return (scale * torch.log1p(each / scale) if scale else each).mean()
+    return _logarithmic(each, scale).mean()
+
+
+def shape_loss(
+    predicted: Float[Tensor, "b n 2"],
+    target: Float[Tensor, "b n 2"],
+    valid: Bool[Tensor, "b n"],
+    *,
+    scale: float = 0.0,
+) -> Float[Tensor, ""]:
+    """Our L_geo without what straight lines leave open: the mean of `aligned_distances`.
+
+    Args:
+        predicted: T⁻¹(p_f; k̂), in half widths.
+        target: T⁻¹(p_f; k_G), in half widths.
+        valid: Pixels that count.
+        scale: s of `LossCfg.shape_scale`.
+    """
+    return _logarithmic(aligned_distances(predicted, target, valid), scale).mean()
+
+
+def aligned_distances(
+    predicted: Float[Tensor, "b n 2"], target: Float[Tensor, "b n 2"], valid: Bool[Tensor, "b n"]
+) -> Float[Tensor, " b"]:
+    """Mean distance per picture after the scale and shift of `predicted` that fit best.
+
+    Both lenses look the same way up, so the best similarity of the aligned error needs no rotation.
+
+    Args:
+        predicted: Rectified positions, in any unit.
+        target: True ones.
+        valid: Points that count.
+    """
+    weight = valid.to(target.dtype)[..., None]
+    count = weight.sum(1, keepdim=True).clamp_min(1.0)
+    here, there = (
+        (points - (points * weight).sum(1, keepdim=True) / count) * weight
+        for points in (predicted, target)
+    )
+    scale = (here * there).sum((1, 2)) / here.square().sum((1, 2)).clamp_min(_SMALLEST_SQUARE)
+    squares = (scale[:, None, None] * here - there).square().sum(-1)
+    distance = (squares + _SMALLEST_SQUARE).sqrt() * valid
+    return distance.sum(1) / count[:, 0, 0]
+
+
+def _logarithmic(loss: Tensor, scale: float) -> Tensor:
+    """Losses that count by their logarithm from about `scale` on; 0 leaves them as they are."""
+    return scale * torch.log1p(loss / scale) if scale else loss
 
 
 def pixel_loss(

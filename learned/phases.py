@@ -16,6 +16,7 @@ from learned.dlp import DlpCfg, DlpOutput, LinePerception
 from learned.larecnet import LaRecNet, LarecnetOutput
 from learned.losses import (
     LossCfg,
+    aligned_distances,
     gaussian_nll,
     geometric_loss,
     line_loss,
@@ -23,6 +24,7 @@ from learned.losses import (
     local_loss,
     parameter_loss,
     pixel_loss,
+    shape_loss,
 )
 from learned.parameters import FREE
 from learned.presets import Preset
@@ -35,6 +37,7 @@ _SIDE_WEIGHT = 0.5
 _THETA_COUNTED = math.radians(65.0)
 _THETA_RPE = math.radians(60.0)
 _RPE_STRIDE = 4
+_HALF_FRAME = 160.0  # pixels; errors are told in those of a frame of 320
 # whitened errors beyond this are of lenses so odd that a Gaussian says nothing about them
 _TAIL = 4.0
 Report = tuple[dict[str, float], dict[str, UInt8[ndarray, "h w 3"]]]
@@ -90,15 +93,15 @@ class RectificationPhase:
         self.stride = preset.geo_stride
 
     def loss(self, module: nn.Module, batch: SlfBatch) -> tuple[Tensor, dict[str, Tensor]]:
-        """λ_para L_para + λ_geo L_geo + λ_pix L_pix, and the likelihood of our covariance."""
+        """λ_para L_para + λ_geo L_geo + λ_pix L_pix; ours: shape, likelihood of the covariance."""
         image = batch.image.contiguous(memory_format=torch.channels_last)
         out: LarecnetOutput = module(image, seen=batch.seen, rectify=self.cfg.pix > 0)
         net = _inner(module)
         parts = {"para": self._parameters(net, out, batch)}
         total = self.cfg.para * parts["para"]
-        if self.cfg.geo:
-            parts["geo"] = self._geometry(out.k, batch)
-            total = total + self.cfg.geo * parts["geo"]
+        if self.cfg.geo or self.cfg.shape:
+            parts["geo"], parts["shape"] = self._geometry(out.k, batch)
+            total = total + self.cfg.geo * parts["geo"] + self.cfg.shape * parts["shape"]
         if self.cfg.pix:
             parts["pix"] = self._pixels(out, batch, net.cfg.pixel_stride)
             total = total + self.cfg.pix * parts["pix"]
@@ -107,7 +110,9 @@ class RectificationPhase:
             error = (truth - out.estimate.fused.detach())[:, FREE].clamp(-_TAIL, _TAIL)
             parts["nll"] = gaussian_nll(error, out.estimate.cholesky)
             total = total + self.cfg.nll * parts["nll"]
-        return total, parts | {"rpe": reprojection_errors(out.k.detach(), batch).mean()}
+        k = out.k.detach()
+        rpe, aligned = (reprojection_errors(k, batch, aligned=a).mean() for a in (False, True))
+        return total, parts | {"rpe": rpe, "aligned": aligned}
 
     def _parameters(self, net: LaRecNet, out: LarecnetOutput, batch: SlfBatch) -> Tensor:
         """L_para, Eq. p_loss, in the coordinates of the preset."""
@@ -123,8 +128,8 @@ class RectificationPhase:
             * local_loss(out.estimate.local, target[:, :5], omega[:5], huber=self.cfg.huber)
         )
 
-    def _geometry(self, k: Tensor, batch: SlfBatch) -> Tensor:
-        """L_geo on every `stride`-th pixel; a cell with a line on it counts as Ω⁺."""
+    def _geometry(self, k: Tensor, batch: SlfBatch) -> tuple[Tensor, Tensor]:
+        """L_geo and the shape loss on every `stride`-th pixel; a cell with a line counts as Ω⁺."""
         height, width = batch.image.shape[-2:]
         points = pixel_grid(height, width, stride=self.stride, device=k.device)
         points = points.expand(len(k), -1, -1)
@@ -135,11 +140,8 @@ class RectificationPhase:
             if self.stride > 1
             else batch.line_map
         )
-        valid = (
-            theta
-            <= torch.minimum(batch.theta_max, batch.theta_max.new_tensor(_THETA_COUNTED))[:, None]
-        )
-        return geometric_loss(
+        valid = theta <= batch.theta_max.clamp(max=_THETA_COUNTED)[:, None]
+        geo = geometric_loss(
             predicted,
             target,
             lines.flatten(1) > 0,
@@ -147,6 +149,7 @@ class RectificationPhase:
             line_weight=self.cfg.line_weight,
             scale=self.cfg.geo_scale,
         )
+        return geo, shape_loss(predicted, target, valid, scale=self.cfg.shape_scale)
 
     def _pixels(self, out: LarecnetOutput, batch: SlfBatch, stride: int) -> Tensor:
         assert out.rectified is not None
@@ -157,13 +160,14 @@ class RectificationPhase:
 
     @torch.no_grad()
     def report(self, module: nn.Module, batches: Sequence[SlfBatch]) -> Report:
-        """RPE and PSNR of the rectified pictures, interval coverage, and a sheet."""
+        """Errors and PSNR of the rectified pictures, interval coverage, and a sheet."""
         net = _inner(module)
-        errors, psnr, distances, rows = [], [], [], []
+        errors, aligned, psnr, distances, rows = [], [], [], [], []
         for batch in batches:
             out: LarecnetOutput = net(batch.image.contiguous(memory_format=torch.channels_last))
             rectified = rectify_images(batch.image, out.k)
             errors.append(reprojection_errors(out.k, batch))
+            aligned.append(reprojection_errors(out.k, batch, aligned=True))
             mse = (rectified - batch.rectified).square().mean((1, 2, 3))
             psnr.append(-10.0 * torch.log10(mse.clamp_min(1e-10)))
             if out.estimate.cholesky is not None:
@@ -176,6 +180,7 @@ class RectificationPhase:
         scalars = {
             "rpe_mean": float(rpe.mean()),
             "rpe_median": float(rpe.median()),
+            "aligned_median": float(torch.cat(aligned).median()),
             "psnr": float(torch.cat(psnr).mean()),
         }
         if distances:
@@ -206,14 +211,22 @@ class DivisionPhase:
         return {"lambda_error": float(torch.cat(errors).mean())}, {}
 
 
-def reprojection_errors(k: Tensor, batch: SlfBatch) -> Tensor:
-    """Mean RPE per picture in pixels of the 320 frame, over pixels up to 60 degrees."""
+def reprojection_errors(k: Tensor, batch: SlfBatch, *, aligned: bool = False) -> Tensor:
+    """Mean RPE per picture in pixels of the 320 frame, over pixels up to 60 degrees.
+
+    Args:
+        k: Estimated lenses, shape (b, 9).
+        batch: Samples with true lenses.
+        aligned: Count what is left after the best scale and shift.
+    """
     height, width = batch.image.shape[-2:]
     points = pixel_grid(height, width, stride=_RPE_STRIDE, device=k.device).expand(len(k), -1, -1)
     target, theta = undistort(points, batch.k)
     predicted, _ = undistort(points, k)
     valid = theta <= batch.theta_max.clamp(max=_THETA_RPE)[:, None]
-    distance = (predicted - target).square().sum(-1).sqrt() * 160.0
+    if aligned:
+        return aligned_distances(predicted, target, valid) * _HALF_FRAME
+    distance = (predicted - target).square().sum(-1).sqrt() * _HALF_FRAME
     return (distance * valid).sum(1) / valid.sum(1).clamp_min(1)
 
 

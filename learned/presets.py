@@ -54,7 +54,8 @@ PAPER = Preset(name="paper")
 # CPU: patch stem and pixel-shuffle head, lineness besides length, pixel coordinates as further
 # inputs of the calibration, branches that know what is where, regression in whitened coordinates
 # (where ω says how much each moves pixels), L_geo on every fourth pixel and by its logarithm, so
-# that odd wide lenses do not drown all others, L_pix at a quarter of the size, AdamW.
+# that odd wide lenses do not drown all others, a loss of the lens's shape without its scale, L_pix
+# at a quarter of the size, AdamW.
 COMPACT = Preset(
     name="compact",
     network=LarecnetCfg(
@@ -87,6 +88,8 @@ COMPACT = Preset(
     loss=LossCfg(
         geo=10.0,
         geo_scale=0.3,
+        shape=60.0,
+        shape_scale=0.04,
         pix=0.2,
         para=0.3,
         omega=(1.0, 0.8, 0.5, 0.4, 0.4, 0.0, 0.5, 0.8, 0.8),
@@ -126,7 +129,7 @@ def ablation(base: Preset, name: str) -> Preset:
 
     BL1 sees the picture alone and BL2 the heatmap alone; BL3 sees both; BL4 adds the local branch;
     BL5 adds L_geo; BL6 adds L_pix with its uncertainty and is the whole network. Where the preset
-    feeds on lineness, it comes with the heatmap.
+    feeds on lineness, it comes with the heatmap. None has the shape loss, which is not the paper's.
 
     Args:
         base: Preset to vary.
@@ -149,6 +152,7 @@ def ablation(base: Preset, name: str) -> Preset:
     loss = replace(
         base.loss,
         geo=base.loss.geo if level >= 5 else 0.0,
+        shape=0.0,
         pix=base.loss.pix if level >= 6 else 0.0,
     )
     network = replace(base.network, calibration=calibration)

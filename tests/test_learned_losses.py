@@ -5,6 +5,7 @@ import torch
 
 from learned.losses import (
     LossCfg,
+    aligned_distances,
     gaussian_nll,
     geometric_loss,
     line_loss,
@@ -13,6 +14,7 @@ from learned.losses import (
     parameter_loss,
     pixel_loss,
     ridge_target,
+    shape_loss,
 )
 
 
@@ -70,6 +72,26 @@ def test_scaled_geometric_loss_is_the_logarithm_of_each_picture() -> None:
     assert got.item() == pytest.approx(0.3 * (math.log(2) + math.log(4)) / 2)
 
 
+def test_shape_loss_forgives_scale_and_shift_and_nothing_else() -> None:
+    target = torch.tensor([[[1.0, 0.0], [0.0, 1.0], [-1.0, 0.0], [0.0, -1.0], [9.0, 9.0]]])
+    valid = torch.tensor([[True, True, True, True, False]])
+    same = 3.0 * target + torch.tensor([0.4, -0.2])
+    assert aligned_distances(same, target, valid).item() == pytest.approx(0.0, abs=2e-4)
+    # twice as wide as high: the best scale is (2 + 1) / (4 + 1), which leaves 1/5 and 2/5
+    wide = target * torch.tensor([2.0, 1.0])
+    assert aligned_distances(wide, target, valid).item() == pytest.approx(0.3, abs=1e-4)
+    got = shape_loss(wide, target, valid, scale=0.1)
+    assert got.item() == pytest.approx(0.1 * math.log(1 + 3), abs=1e-4)
+
+
+def test_shape_loss_of_the_truth_has_a_gradient() -> None:
+    predicted = torch.randn(1, 4, 2, generator=torch.Generator().manual_seed(0)).requires_grad_()
+    everywhere = torch.ones(1, 4, dtype=torch.bool)
+    shape_loss(predicted, predicted.detach(), everywhere).backward()
+    assert predicted.grad is not None
+    assert predicted.grad.isfinite().all()
+
+
 def test_pixel_loss_divides_by_the_uncertainty_and_adds_its_logarithm() -> None:
     rectified = torch.full((1, 3, 1, 2), 0.4)
     target = torch.zeros(1, 3, 1, 2)
@@ -107,5 +129,6 @@ def test_lineness_loss_prefers_the_truth() -> None:
 def test_constants_are_the_papers() -> None:
     cfg = LossCfg()
     assert (cfg.para, cfg.geo, cfg.pix) == (1.0, 100.0, 1.0)
+    assert (cfg.shape, cfg.nll, cfg.huber) == (0.0, 0.0, 0.0)  # ours
     assert (cfg.fused, cfg.glob, cfg.local, cfg.line_weight) == (2.0, 1.0, 1.0, 2.0)
     assert cfg.omega == (0.1, 0.1, 0.5, 1.0, 1.0, 0.1, 0.1, 0.1, 0.1)

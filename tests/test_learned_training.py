@@ -163,6 +163,21 @@ def test_geo_scale_of_the_preset_reaches_the_loss() -> None:
     assert geo(0.3) == pytest.approx(0.3 * math.log(1 + geo(0.0) / 0.3), rel=1e-4)
 
 
+def test_shape_counts_by_its_weight() -> None:
+    torch.manual_seed(0)
+    network, batch = LaRecNet(SMALL).eval(), grids(1, batch=1)
+
+    def total(shape: float) -> tuple[float, float]:
+        cfg = replace(COMPACT.loss, shape=shape)
+        phase = RectificationPhase(replace(COMPACT, network=SMALL, loss=cfg))
+        loss, parts = phase.loss(network, batch)
+        return loss.item(), parts["shape"].item()
+
+    (without, part), (with_it, _) = total(0.0), total(60.0)
+    assert part > 0
+    assert with_it - without == pytest.approx(60.0 * part, rel=1e-4)
+
+
 def test_reprojection_error_is_zero_for_the_truth_and_a_known_value_for_a_shift() -> None:
     batch = grids(3)
     assert reprojection_errors(batch.k, batch).max() < 1e-3
@@ -170,6 +185,7 @@ def test_reprojection_error_is_zero_for_the_truth_and_a_known_value_for_a_shift(
     moved[:, 0] *= 1.01  # a lens one percent longer: rays one percent nearer to the axis
     errors = reprojection_errors(moved, batch)
     assert ((errors > 0.3) & (errors < 4.0)).all()
+    assert (reprojection_errors(moved, batch, aligned=True) < 0.5 * errors).all()
 
 
 @pytest.mark.parametrize("dims", [(), (2,), (3,), (2, 3)])
