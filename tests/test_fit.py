@@ -338,6 +338,29 @@ def test_a_belief_in_a_fisheye_does_not_bend_a_straight_picture() -> None:
     assert "straight already" in fit.reason
 
 
+def test_a_belief_in_a_wide_fisheye_does_not_bend_a_slight_bend_further() -> None:
+    truth = projection(1.8, -0.8, WIDTH, HEIGHT)
+    wide = projection(0.9, 0.0, WIDTH, HEIGHT)
+    curves = line_pictures(truth, 50, np.random.default_rng(12), noise=0.3)
+    general = generic_prior(float(wide.k[0]), WIDTH, HEIGHT)
+    belief = of_belief(LensPrior(wide.to_vector(), general.covariance * 0.05), "a network")
+    heard, unheard = (
+        fit_lens(
+            [curves],
+            WIDTH,
+            HEIGHT,
+            config=FitConfig(slight_bend=slight),
+            observations=[belief],
+            starts=[wide],
+        )
+        for slight in (0.0, 4.0)
+    )
+    assert heard.camera is not None
+    assert unheard.camera is not None
+    assert aligned_error(unheard.camera, truth) < 0.3
+    assert aligned_error(heard.camera, truth) > 2 * aligned_error(unheard.camera, truth)
+
+
 def test_a_belief_decides_where_the_lines_cannot_tell_straight_from_bent() -> None:
     """Lines through the middle are straight under every lens."""
     rng = np.random.default_rng(4)

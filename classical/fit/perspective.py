@@ -86,7 +86,7 @@ def perspective_instead(
         r = f tan θ, as near as five coefficients come, or None where the bend is real.
     """
     width, height = camera.width, camera.height
-    straight = projection(_STRENGTH, -1.0, width, height)
+    straight = perspective_lens(width, height)
     bends = Bends.of(samples, width, bend)
     kept = straightness(camera, samples).residuals
     deviation = bends.deviation(kept, curve_shares(samples, kept, tolerance))
@@ -99,12 +99,22 @@ def perspective_instead(
         )
     )
     gain = flat - bent + known.sure_cost(straight) - known.sure_cost(camera)
-    moved = disagreement(camera, straight)
+    moved = bend_of(camera)
     slight = gain * moved < config.least_proof  # False where they have nothing in common
     if gain >= config.least_gain and not slight:
         return None
     evidence = fisheye - flat
     return Perspective(straight, evidence >= config.least_evidence, evidence < config.least_say)
+
+
+def perspective_lens(width: int, height: int) -> KannalaBrandt:
+    """The lens r = f tan θ, as near as five coefficients come, for a picture of this size."""
+    return projection(_STRENGTH, -1.0, width, height)
+
+
+def bend_of(camera: KannalaBrandt) -> float:
+    """How far a lens moves its picture from a perspective one, pixels of a 320 frame; or NaN."""
+    return disagreement(camera, perspective_lens(camera.width, camera.height))
 
 
 def _cost(bows: Float[np.ndarray, " curves"]) -> float:

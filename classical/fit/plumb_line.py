@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 
 import numpy as np
 from jaxtyping import Float
@@ -15,7 +16,12 @@ from classical.fit.calibrated import calibrated
 from classical.fit.fitted import STRAIGHT_PX, fitted_curves
 from classical.fit.observations import Observation, observed, of_circles
 from classical.fit.parallels import ParallelsConfig
-from classical.fit.perspective import Perspective, PerspectiveConfig, perspective_instead
+from classical.fit.perspective import (
+    Perspective,
+    PerspectiveConfig,
+    bend_of,
+    perspective_instead,
+)
 from classical.fit.prior import LensPrior
 from classical.fit.quality import TAIL, disagreement, judge, predicted_error
 from classical.fit.reach import reaching
@@ -59,6 +65,8 @@ class FitConfig:
         max_curves: Longest curves used in each picture.
         joinings: How often pieces of one line are joined under the lens and the fit repeated.
         perspective: When a picture is taken for straight already; None means never.
+        slight_bend: A lens that moves the picture by less than this, pixels of a 320 frame, is
+            none of those that another estimate is made to tell apart.
         parallels: How lines of one direction help the bends; None leaves the lens to the bends.
         vanishing: How orthogonal vanishing points fix the scale; None leaves it to the prior.
         search: The global start.
@@ -72,6 +80,7 @@ class FitConfig:
     max_curves: int = 120
     joinings: int = 1
     perspective: PerspectiveConfig | None = field(default_factory=PerspectiveConfig)
+    slight_bend: float = 4.0
     parallels: ParallelsConfig | None = field(default_factory=ParallelsConfig)
     vanishing: VanishingConfig | None = field(default_factory=VanishingConfig)
     search: SearchConfig = field(default_factory=SearchConfig)
@@ -121,12 +130,25 @@ def fit_lens(
     with _CONTROLLER.limit(limits=1, user_api="blas"):
         known = _known(circles, observations, width)
         rim = np.concatenate([np.zeros((0, 2)), *rims])
-        best, joined = _fit(
-            curve_sets, width, height, config=config, known=known, starts=starts, rim=rim
-        )
+        fit = partial(_fit, curve_sets, width, height, config=config, rim=rim)
+        best, joined = fit(known=known, starts=starts)
         if best is None:
             return _failure(curve_sets, "no curve was found that could be a straight line")
+        if known.has_estimate and not best.note and bend_of(best.camera) < 2 * config.slight_bend:
+            alone, rejoined = fit(known=known.without_estimates, starts=())
+            if alone is not None and _is_slight(alone, config.slight_bend):
+                best, joined = alone, rejoined
         return _report(best, joined, config=config)
+
+
+def _is_slight(found: _Candidate, most: float) -> bool:
+    """Whether the curves by themselves tell that the picture is hardly bent, if at all.
+
+    Networks learn from fisheye pictures and see a wide fisheye in every one. An almost straight
+    picture through a wide lens is bent by a few pixels nonetheless, since next to no lens is wide
+    and straight.
+    """
+    return found.note == _STRAIGHT or (not found.note and bend_of(found.camera) < most)
 
 
 def _known(

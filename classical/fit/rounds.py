@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -39,6 +39,12 @@ class Known:
         """Whether another estimate of the lens is among them."""
         return not all(observation.is_sure for observation in self.observations)
 
+    @property
+    def without_estimates(self) -> Known:
+        """What is sure alone."""
+        sure = [observation for observation in self.observations if observation.is_sure]
+        return replace(self, observations=sure)
+
     def belief(self, camera: KannalaBrandt) -> LensPrior:
         """The prior near a camera, sharpened by all that was observed."""
         prior = generic_prior(
@@ -53,7 +59,7 @@ class Known:
 
     def sure_cost(self, camera: KannalaBrandt) -> float:
         """Negative log likelihood of what is sure, up to a constant."""
-        sure = (observation for observation in self.observations if observation.is_sure)
+        sure = self.without_estimates.observations
         return 0.5 * sum(observation.surprise(camera) for observation in sure)
 
 
