@@ -1,5 +1,6 @@
 """The names of `classical.fit` for type checkers; `__init__.py` imports each when it is used."""
 
+from .config import FitConfig as FitConfig
 from .fitted import fitted_curves as fitted_curves
 from .observations import Observation as Observation
 from .observations import observed as observed
@@ -8,7 +9,6 @@ from .observations import of_belief_field as of_belief_field
 from .observations import of_field as of_field
 from .observations import of_focal as of_focal
 from .parallels import ParallelsConfig as ParallelsConfig
-from .plumb_line import FitConfig as FitConfig
 from .plumb_line import fit_lens as fit_lens
 from .prior import LensPrior as LensPrior
 from .prior import fused as fused

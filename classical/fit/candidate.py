@@ -1,0 +1,134 @@
+"""What is made of a lens that the rounds settled on: left straight, scaled, taken to the rim."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Float
+
+from classical.camera import KannalaBrandt
+from classical.fit.config import FitConfig
+from classical.fit.observations import observed
+from classical.fit.perspective import Perspective, bend_of, perspective_instead
+from classical.fit.prior import LensPrior
+from classical.fit.quality import TAIL, disagreement
+from classical.fit.reach import reaching
+from classical.fit.rounds import Known
+from classical.fit.scale import fused_scale, held_scale, scale_tangent, vanishing_scale
+from classical.lines import Curve, join_curves
+
+STRAIGHT = "the lines are straight already"
+UNTOLD = "the lines could not tell a fisheye from a straight picture; the lens is a guess"
+_PERHAPS_STRAIGHT = "the lines look straight already, but they could not tell a fisheye"
+_FALLS_SHORT = "the lens found does not reach the rim of the picture"
+_OPEN_SCALE = 0.5  # deviation of log focal length that straight lines leave to a straight picture
+_SHOWN = np.radians(75.0)  # no frame takes in more by itself
+
+
+@dataclass(frozen=True, eq=False)
+class Candidate:
+    """A lens that the rounds settled on.
+
+    Attributes:
+        camera: The lens.
+        covariance: Of its vector, shape (9, 9).
+        scale_source: What told the most about its scale.
+        note: Why it is no common fit, empty where it is one.
+        error: The error to expect, pixels of a 320 frame, where the covariance does not tell it.
+    """
+
+    camera: KannalaBrandt
+    covariance: Float[np.ndarray, "9 9"]
+    scale_source: str
+    note: str = ""
+    error: float | None = None
+
+
+def unless_straight(
+    best: Candidate,
+    curve_sets: Sequence[Sequence[Curve]],
+    joined: Sequence[Sequence[Curve]],
+    known: Known,
+    config: FitConfig,
+) -> Candidate:
+    """The perspective lens where it does as well; its scale is then open.
+
+    Line perception was made to find bent lines and finds some in every picture, so a bend is not
+    believed where the curves that the picture shows by itself speak for straight lines. Where no
+    curve speaks, another estimate of the lens is the better guess: most pictures that come here
+    are bent.
+    """
+    straight = _perspective(best.camera, joined, known, config)
+    own = [[curve for curve in curves if not curve.is_hinted] for curves in curve_sets]
+    if straight is None and 0 < sum(map(len, own)) < sum(map(len, curve_sets)):
+        alone = [join_curves(curves, best.camera) for curves in own]
+        straight = _perspective(best.camera, alone, known, config)
+        straight = straight if straight is not None and straight.proven else None
+    if straight is None:
+        return best
+    if straight.untold and known.has_estimate:
+        return replace(best, note=UNTOLD)
+    camera = straight.camera
+    tangent = scale_tangent(camera) * _OPEN_SCALE
+    sure = np.diag([*(camera.k[0] * np.full(5, 1e-4)), 0.0, *(1e-4 * camera.m_u * np.ones(3))]) ** 2
+    covariance = sure + np.outer(tangent, tangent)
+    note = STRAIGHT if straight.proven else _PERHAPS_STRAIGHT
+    error = disagreement(camera, best.camera) / TAIL  # at most what the bend would move
+    return Candidate(camera, covariance, best.scale_source, note, error)
+
+
+def is_slight(found: Candidate, most: float) -> bool:
+    """Whether a lens hardly bends its picture, by less than `most` pixels of a 320 frame."""
+    return found.note == STRAIGHT or (not found.note and bend_of(found.camera) < most)
+
+
+def with_scale(
+    best: Candidate, curve_sets: Sequence[Sequence[Curve]], config: FitConfig
+) -> Candidate:
+    """Fuse the fit's scale with those of each picture's vanishing points by their variances."""
+    assert config.vanishing is not None
+    width = best.camera.width
+    most = config.vanishing.most_lines
+    sets = [config.samples([curves], width, most=most) for curves in curve_sets if curves]
+    found = [
+        vanishing_scale(best.camera, samples, config.tolerance(width), config.vanishing)
+        for samples in sets
+    ]
+    fused = fused_scale(
+        best.camera, best.covariance, [estimate for estimate in found if estimate is not None]
+    )
+    if fused is None:
+        return best
+    source = "vanishing points" if fused.gain > 0.5 else best.scale_source
+    return replace(best, camera=fused.camera, covariance=fused.covariance, scale_source=source)
+
+
+def within_reach(best: Candidate, rim: Float[np.ndarray, "n 2"]) -> Candidate:
+    """The nearest lens that reaches all that the pictures show, or a word where none is near.
+
+    The rim tells no scale, so that is held. It is for lenses that turn near their axis: one that
+    turns far out, at the soft border of its image circle, loses nothing that a flat picture shows.
+    """
+    if not len(rim) or best.note or best.camera.theta_max >= _SHOWN:
+        return best
+    belief = LensPrior(best.camera.normalized().to_vector(), best.covariance)
+    held = observed(belief, held_scale(best.camera)).covariance
+    found = reaching(best.camera, held, rim)
+    return replace(best, camera=found.camera, note="" if found.reaches else _FALLS_SHORT)
+
+
+def _perspective(
+    camera: KannalaBrandt, curve_sets: Sequence[Sequence[Curve]], known: Known, config: FitConfig
+) -> Perspective | None:
+    """A perspective lens if it makes these curves about as straight as the fitted one."""
+    assert config.perspective is not None
+    return perspective_instead(
+        camera,
+        config.samples(curve_sets, camera.width),
+        known,
+        tolerance=config.tolerance(camera.width),
+        bend=config.bend,
+        config=config.perspective,
+    )
