@@ -10,6 +10,7 @@ from numpy import ndarray
 
 from classical.camera import KannalaBrandt, nearest_kannala_brandt
 from classical.fit import (
+    FALLS_SHORT,
     LARGEST_ERROR,
     LensPrior,
     fitted_curves,
@@ -19,8 +20,9 @@ from classical.fit import (
     of_belief,
     predicted_error,
     straight_share,
+    within_reach,
 )
-from classical.lines import curves_from_image
+from classical.lines import curves_from_image, find_rim
 from hybrid.config import RectifyConfig
 from hybrid.result import Calibration, Quality
 from learned.predictor import LensPrediction, Predictor, RongPredictor
@@ -50,7 +52,9 @@ class LearnedEstimator:
         if any(prediction.covariance is not None for prediction in predictions):
             general = generic_prior(float(belief.mean[0]), width, height)
             belief = observed(general, of_belief(belief, "network"))
-        camera = belief.decode(np.zeros(8), width, height)
+        rim = np.concatenate([find_rim(picture) for picture in pictures])
+        estimate = belief.decode(np.zeros(8), width, height)
+        camera, reaches = within_reach(estimate, belief.covariance, rim)
         curves = tuple(fitted_curves(curves_from_image(p), camera) for p in pictures)
         inliers = [curve for picture in curves for curve in picture if curve.inlier]
         error = predicted_error(camera, belief.covariance)
@@ -67,6 +71,8 @@ class LearnedEstimator:
         share = straight_share(curves)
         if error > LARGEST_ERROR:
             reason = f"the network is unsure: expected error {error:.1f} px"
+        elif not reaches:
+            reason = FALLS_SHORT
         elif share < _LEAST_STRAIGHT:
             reason = f"the network is sure, but straightens {share:.0%} of the curves' length only"
         else:

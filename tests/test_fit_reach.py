@@ -111,7 +111,7 @@ def test_fit_reaches_the_rim_or_says_that_it_does_not(monkeypatch: pytest.Monkey
     assert alone.camera.theta_max > np.radians(75)  # a flat picture shows nothing of the rim
     assert fit.camera == alone.camera
     assert fit.reason == alone.reason
-    monkeypatch.setattr("classical.fit.candidate._SHOWN", np.pi)
+    monkeypatch.setattr("classical.fit.reach._SHOWN", np.pi)
     fit = fit_lens([curves], SIZE, SIZE, rims=[near])
     assert fit.camera is not None
     assert fit.camera.unproject(near)[1].all()

@@ -16,6 +16,8 @@ from .prior import generic_prior as generic_prior
 from .quality import LARGEST_ERROR as LARGEST_ERROR
 from .quality import predicted_error as predicted_error
 from .quality import straight_share as straight_share
+from .reach import FALLS_SHORT as FALLS_SHORT
+from .reach import within_reach as within_reach
 from .result import FittedCurve as FittedCurve
 from .result import LensFit as LensFit
 from .search import SearchConfig as SearchConfig

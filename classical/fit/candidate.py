@@ -10,21 +10,17 @@ from jaxtyping import Float
 
 from classical.camera import KannalaBrandt
 from classical.fit.config import FitConfig
-from classical.fit.observations import observed
 from classical.fit.perspective import Perspective, bend_of, perspective_instead
-from classical.fit.prior import LensPrior
 from classical.fit.quality import TAIL, disagreement
-from classical.fit.reach import reaching
+from classical.fit.reach import FALLS_SHORT, within_reach
 from classical.fit.rounds import Known
-from classical.fit.scale import fused_scale, held_scale, scale_tangent, vanishing_scale
+from classical.fit.scale import fused_scale, scale_tangent, vanishing_scale
 from classical.lines import Curve, join_curves
 
 STRAIGHT = "the lines are straight already"
 UNTOLD = "the lines could not tell a fisheye from a straight picture; the lens is a guess"
 _PERHAPS_STRAIGHT = "the lines look straight already, but they could not tell a fisheye"
-_FALLS_SHORT = "the lens found does not reach the rim of the picture"
 _OPEN_SCALE = 0.5  # deviation of log focal length that straight lines leave to a straight picture
-_SHOWN = np.radians(75.0)  # no frame takes in more by itself
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,18 +101,12 @@ def with_scale(
     return replace(best, camera=fused.camera, covariance=fused.covariance, scale_source=source)
 
 
-def within_reach(best: Candidate, rim: Float[np.ndarray, "n 2"]) -> Candidate:
-    """The nearest lens that reaches all that the pictures show, or a word where none is near.
-
-    The rim tells no scale, so that is held. It is for lenses that turn near their axis: one that
-    turns far out, at the soft border of its image circle, loses nothing that a flat picture shows.
-    """
-    if not len(rim) or best.note or best.camera.theta_max >= _SHOWN:
+def to_rim(best: Candidate, rim: Float[np.ndarray, "n 2"]) -> Candidate:
+    """The lens `within_reach` of the rim, or a word where none is near."""
+    if best.note:
         return best
-    belief = LensPrior(best.camera.normalized().to_vector(), best.covariance)
-    held = observed(belief, held_scale(best.camera)).covariance
-    found = reaching(best.camera, held, rim)
-    return replace(best, camera=found.camera, note="" if found.reaches else _FALLS_SHORT)
+    found = within_reach(best.camera, best.covariance, rim)
+    return replace(best, camera=found.camera, note="" if found.reaches else FALLS_SHORT)
 
 
 def _perspective(

@@ -17,9 +17,9 @@ from classical.fit.candidate import (
     UNTOLD,
     Candidate,
     is_slight,
+    to_rim,
     unless_straight,
     with_scale,
-    within_reach,
 )
 from classical.fit.config import FitConfig
 from classical.fit.fitted import fitted_curves
@@ -128,7 +128,7 @@ def _fit(
         candidate = unless_straight(candidate, curve_sets, joined, known, config)
     if config.vanishing is not None:
         candidate = with_scale(candidate, joined, config)
-    return within_reach(candidate, rim), joined
+    return to_rim(candidate, rim), joined
 
 
 def _best(

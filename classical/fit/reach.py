@@ -18,13 +18,18 @@ from jaxtyping import Float
 
 from classical.camera import KannalaBrandt
 from classical.camera.ray_field import ray_field
+from classical.fit.observations import observed
 from classical.fit.overshoot import overshoot, overshoot_jacobian
+from classical.fit.prior import LensPrior
+from classical.fit.scale import held_scale
 
+FALLS_SHORT = "the lens found does not reach the rim of the picture"
 _MARGIN = 0.03  # by which a lens reaches beyond the rim, as a share of its radius, …
 _DOUBT = 0.005  # … and the standard deviation of that belief
 _FARTHEST = 3.0  # standard deviations within which an estimate may yet be moved to the rim
 _STEPS = 3
 _NEGLIGIBLE = 1e-3  # pixels
+_SHOWN = np.radians(75.0)  # no frame takes in more by itself
 
 
 class Reaching(NamedTuple):
@@ -40,6 +45,26 @@ class _Shortage(NamedTuple):
     pixels: float
     gradient: Float[np.ndarray, " 9"]
     radius: float
+
+
+def within_reach(
+    camera: KannalaBrandt, covariance: Float[np.ndarray, "9 9"], rim: Float[np.ndarray, "n 2"]
+) -> Reaching:
+    """The nearest lens that reaches all that the pictures show.
+
+    The rim tells no scale, so that is held. It is for lenses that turn near their axis: one that
+    turns far out, at the soft border of its image circle, loses nothing that a flat picture shows.
+
+    Args:
+        camera: The estimate.
+        covariance: Of its vector.
+        rim: The outermost pixels that the pictures show.
+    """
+    if not len(rim) or camera.theta_max >= _SHOWN:
+        return Reaching(camera, True)
+    camera = camera.normalized()
+    belief = LensPrior(camera.to_vector(), covariance)
+    return reaching(camera, observed(belief, held_scale(camera)).covariance, rim)
 
 
 def reaching(
