@@ -190,7 +190,7 @@ def test_threads_do_not_change_the_answer(found, room):
     [
         (1e-3, 0.0, "ok", "become straight"),
         (0.3, 0.0, "degraded", "unsure"),
-        (1e-3, 0.45, "degraded", "of the curves' length only"),
+        (1e-3, -0.45, "degraded", "of the curves' length only"),
     ],
 )
 def test_the_network_alone_is_ok_where_it_is_sure_and_curves_become_straight(
@@ -211,3 +211,26 @@ def test_the_network_alone_is_ok_where_it_is_sure_and_curves_become_straight(
     found = Rectifier(RectifyConfig(method="learned")).calibrate([room])
     assert found.status == status, found.reason
     assert reason in found.reason
+
+
+@pytest.mark.parametrize("deviation", [0.02, 1e-4])
+def test_the_networks_lens_reaches_the_corners_or_the_result_says_that_it_does_not(
+    monkeypatch: pytest.MonkeyPatch, room: np.ndarray, deviation: float
+) -> None:
+    height, width = room.shape[:2]
+    ratio = -0.33  # of k2 to k1: r turns at 58°
+    turn = 1 / np.sqrt(-3 * ratio)
+    k1 = 0.985 * np.hypot(1, height / width) / (turn * 2 / 3)  # just before the corners
+    camera = KannalaBrandt(
+        np.array([k1, ratio * k1, 0, 0, 0]),
+        *(width / 2, width / 2, (width - 1) / 2, (height - 1) / 2, width, height),
+    )
+    covariance = np.diag([*np.full(5, deviation * k1), 0.0, 1.0, 1.0, 1.0]) ** 2
+    answer = LensPrediction(camera, covariance, None)
+    monkeypatch.setattr(Predictor, "lens", lambda self, picture: answer)
+    found = Rectifier(RectifyConfig(method="learned")).calibrate([room])
+    assert found.camera is not None
+    corners = np.array([[0.0, 0.0], [width - 1.0, height - 1.0]])
+    assert not camera.unproject(corners)[1].any()
+    assert found.camera.unproject(corners)[1].all() == (deviation > 1e-3)
+    assert deviation > 1e-3 or found.status == "degraded"
