@@ -102,8 +102,9 @@ def assess(network: LaRecNet, batches: Iterable[SlfBatch]) -> Assessment:
     for batch in batches:
         image = resized(batch.image, network.cfg.frame, network.cfg.frame)
         out = mean_estimate(network, image.contiguous(memory_format=torch.channels_last))
-        rpe.append(reprojection_errors(out.k, batch))
-        aligned.append(reprojection_errors(out.k, batch, aligned=True))
+        errors = reprojection_errors(out.k, batch)
+        rpe.append(errors.rpe)
+        aligned.append(errors.aligned)
         mse = (rectify_images(batch.image, out.k) - batch.rectified).square().mean((1, 2, 3))
         psnr.append(-10.0 * torch.log10(mse.clamp_min(1e-10)))
         if out.covariance is not None:

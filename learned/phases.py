@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -110,9 +111,8 @@ class RectificationPhase:
             error = (truth - out.estimate.fused.detach())[:, FREE].clamp(-_TAIL, _TAIL)
             parts["nll"] = gaussian_nll(error, out.estimate.cholesky)
             total = total + self.cfg.nll * parts["nll"]
-        k = out.k.detach()
-        rpe, aligned = (reprojection_errors(k, batch, aligned=a).mean() for a in (False, True))
-        return total, parts | {"rpe": rpe, "aligned": aligned}
+        errors = reprojection_errors(out.k.detach(), batch)
+        return total, parts | {"rpe": errors.rpe.mean(), "aligned": errors.aligned.mean()}
 
     def _parameters(self, net: LaRecNet, out: LarecnetOutput, batch: SlfBatch) -> Tensor:
         """L_para, Eq. p_loss, in the coordinates of the preset."""
@@ -166,8 +166,9 @@ class RectificationPhase:
         for batch in batches:
             out: LarecnetOutput = net(batch.image.contiguous(memory_format=torch.channels_last))
             rectified = rectify_images(batch.image, out.k)
-            errors.append(reprojection_errors(out.k, batch))
-            aligned.append(reprojection_errors(out.k, batch, aligned=True))
+            each = reprojection_errors(out.k, batch)
+            errors.append(each.rpe)
+            aligned.append(each.aligned)
             mse = (rectified - batch.rectified).square().mean((1, 2, 3))
             psnr.append(-10.0 * torch.log10(mse.clamp_min(1e-10)))
             if out.estimate.cholesky is not None:
@@ -211,23 +212,29 @@ class DivisionPhase:
         return {"lambda_error": float(torch.cat(errors).mean())}, {}
 
 
-def reprojection_errors(k: Tensor, batch: SlfBatch, *, aligned: bool = False) -> Tensor:
-    """Mean RPE per picture in pixels of the 320 frame, over pixels up to 60 degrees.
+class Errors(NamedTuple):
+    """Mean errors per picture in pixels of the 320 frame, over pixels up to 60 degrees.
 
-    Args:
-        k: Estimated lenses, shape (b, 9).
-        batch: Samples with true lenses.
-        aligned: Count what is left after the best scale and shift.
+    Attributes:
+        rpe: Reprojection errors, shape (b,).
+        aligned: What is left of them after the best scale and shift, shape (b,).
     """
+
+    rpe: Tensor
+    aligned: Tensor
+
+
+def reprojection_errors(k: Tensor, batch: SlfBatch) -> Errors:
+    """How far lenses k, shape (b, 9), are from those of the batch."""
     height, width = batch.image.shape[-2:]
     points = pixel_grid(height, width, stride=_RPE_STRIDE, device=k.device).expand(len(k), -1, -1)
     target, theta = undistort(points, batch.k)
     predicted, _ = undistort(points, k)
     valid = theta <= batch.theta_max.clamp(max=_THETA_RPE)[:, None]
-    if aligned:
-        return aligned_distances(predicted, target, valid) * _HALF_FRAME
-    distance = (predicted - target).square().sum(-1).sqrt() * _HALF_FRAME
-    return (distance * valid).sum(1) / valid.sum(1).clamp_min(1)
+    distance = (predicted - target).square().sum(-1).sqrt()
+    rpe = (distance * valid).sum(1) / valid.sum(1).clamp_min(1)
+    aligned = aligned_distances(predicted, target, valid)
+    return Errors(rpe * _HALF_FRAME, aligned * _HALF_FRAME)
 
 
 def _inner(module: nn.Module) -> LaRecNet:

@@ -180,12 +180,12 @@ def test_shape_counts_by_its_weight() -> None:
 
 def test_reprojection_error_is_zero_for_the_truth_and_a_known_value_for_a_shift() -> None:
     batch = grids(3)
-    assert reprojection_errors(batch.k, batch).max() < 1e-3
+    assert reprojection_errors(batch.k, batch).rpe.max() < 1e-3
     moved = batch.k.clone()
     moved[:, 0] *= 1.01  # a lens one percent longer: rays one percent nearer to the axis
     errors = reprojection_errors(moved, batch)
-    assert ((errors > 0.3) & (errors < 4.0)).all()
-    assert (reprojection_errors(moved, batch, aligned=True) < 0.5 * errors).all()
+    assert ((errors.rpe > 0.3) & (errors.rpe < 4.0)).all()
+    assert (errors.aligned < 0.5 * errors.rpe).all()
 
 
 @pytest.mark.parametrize("dims", [(), (2,), (3,), (2, 3)])
