@@ -16,6 +16,7 @@ if TYPE_CHECKING:
 _PACK = click.Path(exists=True, dir_okay=False, path_type=Path)
 _SCENES = (0.45, 0.35, 0.2, 0.0)
 _WILD = 0.8
+_STRAIGHT = 0.0
 
 scenes_option = click.option(
     "--scenes",
@@ -32,6 +33,13 @@ wild_option = click.option(
     show_default=True,
     type=click.FloatRange(0, 1),
     help="Share of the prior `wild` in boxes and panoramas.",
+)
+straight_option = click.option(
+    "--straight",
+    default=_STRAIGHT,
+    show_default=True,
+    type=click.FloatRange(0, 1),
+    help="Share of pictures taken by lenses that bend next to nothing.",
 )
 
 
@@ -76,6 +84,7 @@ wild_option = click.option(
 )
 @scenes_option
 @wild_option
+@straight_option
 @click.option("--rate", type=float, help="Learning rate, instead of the preset's.")
 @click.option("--fall", type=click.FloatRange(0, 1), help="Share of the run with a falling rate.")
 @click.option("--resume/--no-resume", default=True, show_default=True)
@@ -100,6 +109,7 @@ def train(
     samples: Path | None,
     scenes: tuple[float, float, float, float],
     wild: float,
+    straight: float,
     rate: float | None,
     fall: float | None,
     resume: bool,
@@ -139,7 +149,7 @@ def train(
         size=size,
         ahead=ahead,
         samples=samples,
-        data=StreamCfg(scenes=scenes, wild_share=wild),
+        data=StreamCfg(scenes=scenes, wild_share=wild, straight_share=straight),
         init=init,
         run=RunCfg(
             steps=steps,
@@ -167,6 +177,7 @@ def train(
 )
 @scenes_option
 @wild_option
+@straight_option
 @click.option(
     "--samples", default=96, show_default=True, help="Of each validation, a multiple of 8."
 )
@@ -184,6 +195,7 @@ def assess(
     pack: Path | None,
     scenes: tuple[float, float, float, float],
     wild: float,
+    straight: float,
     samples: int,
     out: Path | None,
     overwrite: bool,
@@ -210,7 +222,7 @@ def assess(
     if pack is not None and not network.cfg.calibration.covariance:
         raise click.UsageError(f"--data is for weights that predict a spread; {weights} do not")
     if pack is not None:
-        mixture = StreamCfg(scenes=scenes, wild_share=wild)
+        mixture = StreamCfg(scenes=scenes, wild_share=wild, straight_share=straight)
         batches = assessment.temperature_batches(pack, network.cfg.frame, mixture)
         total = assessment.TEMPERATURE_BATCHES
         assessment.fit_temperature(network, _shown("temperature", batches, total))

@@ -8,6 +8,8 @@ import pytest
 from classical.camera import KannalaBrandt
 from classical.camera.ray_field import ray_field
 from classical.fit import FitConfig, LensPrior, fit_lens, generic_prior, of_belief
+from classical.fit.candidate import UNTOLD, Candidate, is_better_alone, is_open
+from classical.fit.perspective import Perspective, bend_of
 from classical.fit.prior import generic_surprise
 from classical.fit.quality import predicted_error
 from classical.fit.samples import CurveSamples, sample_curves
@@ -294,6 +296,18 @@ def test_a_bend_that_only_a_heatmap_hints_at_is_no_bend_of_a_straight_picture(hi
     assert (aligned_error(fit.camera, truth) < 0.05) is hinted
 
 
+def straight_pieces(count: int, rng: np.random.Generator) -> list[Curve]:
+    """Straight lines of 40 to 120 pixels, anywhere."""
+    pieces = []
+    for _ in range(count):
+        middle = rng.uniform([60, 60], [WIDTH - 60, HEIGHT - 60])
+        angle, length = rng.uniform(0, np.pi), rng.uniform(40, 120)
+        along = np.linspace(-length / 2, length / 2, max(20, int(length / 2)))[:, None]
+        points = middle + along * [np.cos(angle), np.sin(angle)]
+        pieces.append(Curve(points + rng.normal(0, 0.2, points.shape), 0.3, 1.0))
+    return pieces
+
+
 def bowed(curve: Curve, bow: float) -> Curve:
     """The curve with its middle pushed aside by so many pixels."""
     points, along = curve.points, np.linspace(-1, 1, len(curve.points))[:, None]
@@ -336,6 +350,37 @@ def test_a_belief_in_a_fisheye_does_not_bend_a_straight_picture() -> None:
     belief = LensPrior(LENS.to_vector(), np.diag((0.02 * LENS.to_vector()) ** 2 + 1e-6))
     fit = fit_lens([curves], WIDTH, HEIGHT, observations=[of_belief(belief, "a network")])
     assert "straight already" in fit.reason
+
+
+@pytest.mark.parametrize("seed", [0, 3])
+def test_a_belief_in_a_fisheye_does_not_silence_short_lines_that_are_straight(seed: int) -> None:
+    """Under a lens that bends short lines by less than they err, they cannot tell it from none."""
+    rng = np.random.default_rng(seed)
+    curves = [bowed(piece, rng.normal(0, 0.3)) for piece in straight_pieces(15, rng)]
+    wide = projection(0.9, 0.0, WIDTH, HEIGHT)
+    general = generic_prior(float(wide.k[0]), WIDTH, HEIGHT)
+    belief = of_belief(LensPrior(wide.to_vector(), general.covariance * 0.001), "a network")
+    fit = fit_lens([curves], WIDTH, HEIGHT, observations=[belief], starts=[wide])
+    assert "straight already" in fit.reason
+    assert fit.camera is not None
+    assert bend_of(fit.camera) < 0.1
+
+
+def test_a_slight_gain_by_a_bend_is_asked_for_without_the_belief() -> None:
+    straight = projection(1.6, -1.0, WIDTH, HEIGHT)
+
+    def candidate(*, gain: float, allowed: bool, untold: bool = False) -> Candidate:
+        said = Perspective(straight, gain, allowed, is_proven=False, is_untold=untold)
+        return Candidate(LENS, np.eye(9), "prior", perspective=said)
+
+    config = FitConfig()
+    weak, clear = (candidate(gain=gain, allowed=False) for gain in (3.0, 30.0))
+    assert is_open(weak, config)
+    assert not is_open(clear, config)
+    assert is_open(replace(clear, note=UNTOLD), config)
+    assert is_better_alone(candidate(gain=0.0, allowed=True), weak, config)
+    assert not is_better_alone(candidate(gain=0.0, allowed=True, untold=True), weak, config)
+    assert not is_better_alone(weak, weak, config)
 
 
 def test_a_belief_in_a_wide_fisheye_does_not_bend_a_slight_bend_further() -> None:

@@ -10,7 +10,7 @@ from jaxtyping import Float
 
 from classical.camera import KannalaBrandt
 from classical.fit.config import FitConfig
-from classical.fit.perspective import Perspective, bend_of, perspective_instead
+from classical.fit.perspective import Perspective, bend_of, compared_with_perspective
 from classical.fit.quality import TAIL, disagreement
 from classical.fit.reach import FALLS_SHORT, within_reach
 from classical.fit.rounds import Known
@@ -33,6 +33,7 @@ class Candidate:
         scale_source: What told the most about its scale.
         note: Why it is no common fit, empty where it is one.
         error: The error to expect, pixels of a 320 frame, where the covariance does not tell it.
+        perspective: What the curves say of a perspective lens instead, None where not asked.
     """
 
     camera: KannalaBrandt
@@ -40,6 +41,7 @@ class Candidate:
     scale_source: str
     note: str = ""
     error: float | None = None
+    perspective: Perspective | None = None
 
 
 def unless_straight(
@@ -58,21 +60,45 @@ def unless_straight(
     """
     straight = _perspective(best.camera, joined, known, config)
     own = [[curve for curve in curves if not curve.is_hinted] for curves in curve_sets]
-    if straight is None and 0 < sum(map(len, own)) < sum(map(len, curve_sets)):
+    if not straight.is_allowed and 0 < sum(map(len, own)) < sum(map(len, curve_sets)):
         alone = [join_curves(curves, best.camera) for curves in own]
-        straight = _perspective(best.camera, alone, known, config)
-        straight = straight if straight is not None and straight.proven else None
-    if straight is None:
+        alone_straight = _perspective(best.camera, alone, known, config)
+        if alone_straight.is_allowed and alone_straight.is_proven:
+            straight = alone_straight
+    best = replace(best, perspective=straight)
+    if not straight.is_allowed:
         return best
-    if straight.untold and known.has_estimate:
+    if straight.is_untold and known.has_estimate:
         return replace(best, note=UNTOLD)
     camera = straight.camera
     tangent = scale_tangent(camera) * _OPEN_SCALE
     sure = np.diag([*(camera.k[0] * np.full(5, 1e-4)), 0.0, *(1e-4 * camera.m_u * np.ones(3))]) ** 2
     covariance = sure + np.outer(tangent, tangent)
-    note = STRAIGHT if straight.proven else _PERHAPS_STRAIGHT
+    note = STRAIGHT if straight.is_proven else _PERHAPS_STRAIGHT
     error = disagreement(camera, best.camera) / TAIL  # at most what the bend would move
-    return Candidate(camera, covariance, best.scale_source, note, error)
+    return Candidate(camera, covariance, best.scale_source, note, error, straight)
+
+
+def is_open(found: Candidate, config: FitConfig) -> bool:
+    """Whether another estimate of the lens may be all that speaks for the bend of a candidate."""
+    if found.note == UNTOLD or is_slight(found, 2 * config.slight_bend):
+        return found.note != STRAIGHT
+    if found.note or found.perspective is None or config.perspective is None:
+        return False
+    return found.perspective.gain < config.perspective.clear_gain
+
+
+def is_better_alone(alone: Candidate, found: Candidate, config: FitConfig) -> bool:
+    """Whether what the curves say by themselves counts, not what they say with an estimate.
+
+    It does where they speak for a perspective lens, and where both are hardly bent: a network has
+    learned from fisheyes and sees a wide one in every picture, and next to no lens is wide and
+    almost straight, so it bends an almost straight picture by some pixels.
+    """
+    if alone.perspective is not None and alone.perspective.is_allowed:
+        return not alone.perspective.is_untold
+    slight = config.slight_bend
+    return is_slight(alone, slight) and is_slight(found, 2 * slight)
 
 
 def is_slight(found: Candidate, most: float) -> bool:
@@ -111,10 +137,10 @@ def to_rim(best: Candidate, rim: Float[np.ndarray, "n 2"]) -> Candidate:
 
 def _perspective(
     camera: KannalaBrandt, curve_sets: Sequence[Sequence[Curve]], known: Known, config: FitConfig
-) -> Perspective | None:
-    """A perspective lens if it makes these curves about as straight as the fitted one."""
+) -> Perspective:
+    """What these curves say of a perspective lens."""
     assert config.perspective is not None
-    return perspective_instead(
+    return compared_with_perspective(
         camera,
         config.samples(curve_sets, camera.width),
         known,

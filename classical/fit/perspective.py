@@ -40,29 +40,36 @@ class PerspectiveConfig:
         least_evidence: A common fisheye must lose so much log likelihood against a perspective
             lens, or the curves cannot tell straight from bent.
         least_say: If it loses less than this, they say nothing either way.
+        clear_gain: Gain in log likelihood from which a bend is the curves' own, whoever else says
+            so; below, it is asked whether they would have come to it by themselves.
     """
 
     least_gain: float = 2.0
     least_proof: float = 6.0
     least_evidence: float = 12.5
     least_say: float = 7.0
+    clear_gain: float = 5.0
 
 
 class Perspective(NamedTuple):
-    """A perspective lens that the curves allow.
+    """A perspective lens beside a fitted one.
 
     Attributes:
         camera: The lens.
-        proven: Whether the curves speak for it, or only not against it.
-        untold: Whether they do not speak at all.
+        gain: Gain in log likelihood that the fitted lens brings by its bend.
+        is_allowed: Whether it makes the curves about as straight as the fitted one.
+        is_proven: Whether the curves speak for it, then, or only not against it …
+        is_untold: … or do not speak at all.
     """
 
     camera: KannalaBrandt
-    proven: bool
-    untold: bool
+    gain: float
+    is_allowed: bool
+    is_proven: bool
+    is_untold: bool
 
 
-def perspective_instead(
+def compared_with_perspective(
     camera: KannalaBrandt,
     samples: CurveSamples,
     known: Known,
@@ -70,8 +77,8 @@ def perspective_instead(
     tolerance: float,
     bend: BendConfig,
     config: PerspectiveConfig,
-) -> Perspective | None:
-    """A perspective lens if it makes the curves about as straight as the fitted one.
+) -> Perspective:
+    """What the curves say of a perspective lens, r = f tan θ as near as five coefficients come.
 
     Args:
         camera: The fitted lens.
@@ -81,9 +88,6 @@ def perspective_instead(
         tolerance: RMS residual at which a curve has lost most of its weight, pixels.
         bend: How far straight lines look bent.
         config: How much proof a bend must bring.
-
-    Returns:
-        r = f tan θ, as near as five coefficients come, or None where the bend is real.
     """
     width, height = camera.width, camera.height
     straight = perspective_lens(width, height)
@@ -101,10 +105,14 @@ def perspective_instead(
     gain = flat - bent + known.sure_cost(straight) - known.sure_cost(camera)
     moved = bend_of(camera)
     slight = gain * moved < config.least_proof  # False where they have nothing in common
-    if gain >= config.least_gain and not slight:
-        return None
     evidence = fisheye - flat
-    return Perspective(straight, evidence >= config.least_evidence, evidence < config.least_say)
+    return Perspective(
+        straight,
+        gain,
+        is_allowed=gain < config.least_gain or slight,
+        is_proven=evidence >= config.least_evidence,
+        is_untold=evidence < config.least_say,
+    )
 
 
 def perspective_lens(width: int, height: int) -> KannalaBrandt:

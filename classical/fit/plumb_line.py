@@ -16,14 +16,15 @@ from classical.fit.candidate import (
     STRAIGHT,
     UNTOLD,
     Candidate,
-    is_slight,
+    is_better_alone,
+    is_open,
     to_rim,
     unless_straight,
     with_scale,
 )
 from classical.fit.config import FitConfig
 from classical.fit.fitted import fitted_curves
-from classical.fit.observations import Observation, of_circles
+from classical.fit.observations import Evidence, of_circles
 from classical.fit.parallels import ParallelsConfig
 from classical.fit.quality import judge, predicted_error
 from classical.fit.result import LensFit
@@ -46,7 +47,7 @@ def fit_lens(
     *,
     config: FitConfig = FitConfig(),
     circles: Sequence[ImageCircle | None] = (),
-    observations: Sequence[Observation] = (),
+    observations: Sequence[Evidence] = (),
     starts: Sequence[KannalaBrandt] = (),
     rims: Sequence[Float[np.ndarray, "_ 2"]] = (),
 ) -> LensFit:
@@ -75,17 +76,15 @@ def fit_lens(
         best, joined = fit(known=known, starts=starts)
         if best is None:
             return _failure(curve_sets, "no curve was found that could be a straight line")
-        if known.has_estimate and not best.note and is_slight(best, 2 * config.slight_bend):
-            # networks learn from fisheyes and see a wide one in every picture; an almost straight
-            # picture of one is bent by some pixels, since next to no lens is wide and straight
+        if known.has_estimate and is_open(best, config):
             alone, rejoined = fit(known=known.without_estimates, starts=())
-            if alone is not None and is_slight(alone, config.slight_bend):
+            if alone is not None and is_better_alone(alone, best, config):
                 best, joined = alone, rejoined
         return _report(best, joined, config=config)
 
 
 def _known(
-    circles: Sequence[ImageCircle | None], observations: Sequence[Observation], width: int
+    circles: Sequence[ImageCircle | None], observations: Sequence[Evidence], width: int
 ) -> Known:
     circle = of_circles(circles, width)
     if circle is None:

@@ -20,6 +20,7 @@ from learned.slf.layouts import LayoutCfg, PoseCfg, draw_boxes, draw_rotations
 from learned.slf.lenses import LensBatch, concatenated
 from learned.slf.optics import Optics, optics, pixel_rays, plane_points, ray_tables
 from learned.slf.panoramas import Views, render_views, view_segments
+from learned.slf.perspective import perspective_lenses
 from learned.slf.photometry import PhotometryCfg, photographed
 from learned.slf.planes import Planes, draw_planes, plane_segments, render_planes
 from learned.slf.priors import lens_prior
@@ -41,6 +42,7 @@ class StreamCfg:
             cuts of panoramas of rendered rooms; a scene without pictures in the atlas is left out.
         wild_share: Weight of the `wild` prior in boxes and panoramas, the rest is `paper`. Planes
             always take `paper`: a flat photograph cannot fill a wider lens.
+        straight_share: Share of all scenes that are taken by lenses that bend next to nothing.
         shortest_px: Bent lines shorter than this are not drawn.
         photometry: What a real camera does to the picture, or None for clean pictures.
         clean_share: Share of the groups that stay clean all the same.
@@ -55,6 +57,7 @@ class StreamCfg:
 
     scenes: tuple[float, float, float, float] = (0.45, 0.35, 0.2, 0.0)
     wild_share: float = 0.8
+    straight_share: float = 0.0
     shortest_px: float = 12.0
     photometry: PhotometryCfg | None = field(default_factory=PhotometryCfg)
     clean_share: float = 0.25
@@ -178,7 +181,8 @@ class SlfStream:
         weights = self._weights()
         blocks = range(first // _BLOCK, (last - 1) // _BLOCK + 1)
         share = tuple((weights / weights.sum()).tolist())
-        drawn = [lens_block(self.seed, i, share, self.config.wild_share) for i in blocks]
+        lens_shares = (self.config.wild_share, self.config.straight_share)
+        drawn = [lens_block(self.seed, i, share, *lens_shares) for i in blocks]
         scene = np.concatenate([part for part, _ in drawn])
         lenses = concatenated([part for _, part in drawn])
         rows = slice(first - blocks[0] * _BLOCK, last - blocks[0] * _BLOCK)
@@ -225,14 +229,21 @@ class SlfStream:
 
 @lru_cache(maxsize=64)
 def lens_block(
-    seed: int, block: int, scenes: tuple[float, ...], wild_share: float
+    seed: int,
+    block: int,
+    scenes: tuple[float, ...],
+    wild_share: float,
+    straight_share: float = 0.0,
 ) -> tuple[np.ndarray, LensBatch]:
     """Scene and lens of a block of samples, from the seed and the number of the block."""
     rng = np.random.default_rng([seed, 0, block])
     scene = rng.choice(len(scenes), _BLOCK, p=scenes)
     wild = (scene != _PLANES) & (rng.random(_BLOCK) < wild_share)
     drawn = [lens_prior(name).sample(rng, _BLOCK) for name in ("paper", "wild")]
-    return scene, concatenated(drawn)[np.arange(_BLOCK) + _BLOCK * wild]
+    straight = rng.random(_BLOCK) < straight_share
+    drawn.append(perspective_lenses(rng, _BLOCK))
+    source = np.where(straight, 2, wild)
+    return scene, concatenated(drawn)[np.arange(_BLOCK) + _BLOCK * source]
 
 
 def joined_batches(parts: list[SlfBatch]) -> SlfBatch:
