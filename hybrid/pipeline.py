@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Shaped
 
 from classical.camera import KannalaBrandt, Pinhole
+from classical.lines import on_black
 from classical.warp import pinhole_target, remap, undistort_maps
 from hybrid.arrays import check_image, to_rgb8
 from hybrid.config import RectifyConfig
@@ -52,7 +53,7 @@ class Rectifier:
             first, second = ("x".join(map(str, size)) for size in sizes[:2])
             raise ValueError(f"Expected pictures of one size, got {first} and {second}.")
         with opencv_threads(self.config.threads):
-            return self._estimator([to_rgb8(image) for image in images])
+            return self._estimator([on_black(to_rgb8(image)) for image in images])
 
     def rectify(
         self,
@@ -81,7 +82,7 @@ class Rectifier:
         check_image(image)
         if camera is None:
             with opencv_threads(self.config.threads):
-                found = self._estimator([to_rgb8(image)])
+                found = self._estimator([on_black(to_rgb8(image))])
         else:
             camera = fitted_camera(camera, image.shape[1], image.shape[0])
             found = Calibration(camera, ((),), Quality(), "ok", "the camera was given")
