@@ -69,8 +69,8 @@ class HybridConfig:
     snaps: bool = True
     adds_edges: bool = True
     believes: bool = True
-    field_doubt: float = 4.0
-    shape_doubt: float = 6.0
+    field_doubt: float = 4.5
+    shape_doubt: float = 7.0
     centring: float = 0.0125
     has_parallels: bool = True
     has_vanishing: bool = True

@@ -74,3 +74,14 @@ def test_it_draws_a_lens_to_its_shape(lens, belief) -> None:
     for _ in range(8):
         camera = observed(general, shape.near(camera)).decode(np.zeros(8), WIDTH, HEIGHT)
     assert disagreement(camera, wanted) < 0.3 * disagreement(start, wanted)
+
+
+def test_a_lens_that_turns_within_the_picture_is_compared_where_it_is_steep() -> None:
+    """Near its turn the angle says nothing of a shape, and a lens under trial may turn before."""
+    turning = KannalaBrandt.centred(np.array([1.4377, -0.3907, -0.0037, -0.0109, 0.002]), 320, 320)
+    sooner = KannalaBrandt.centred(np.array([1.3, -0.35, -0.01, -0.01, 0.0]), 320, 320)
+    assert sooner.theta_max < np.radians(75)
+    told = LensPrior(turning.to_vector(), generic_prior(1.44, 320, 320).covariance * 0.01)
+    shape = of_belief_shape(told, "network", 320, 320)
+    assert shape.radii.max() < turning.radius(np.array([turning.theta_max]))[0]
+    assert np.abs(shape.near(sooner).matrix[:4]).max() < 10

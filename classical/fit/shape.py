@@ -22,8 +22,9 @@ _CENTRE = (7, 8)
 _KNOTS = np.array([0.2, 0.4, 0.6, 0.8, 1.0])  # of the widest angle
 _WIDEST = 1.13  # radians; tan θ runs away beyond
 _CORNER = 1.3  # half picture widths
+_ANGLES = 200
 _CAP = 1.5  # radians that a lens under trial is counted for at a knot
-_LEAST_SLOPE = 0.05  # of r(θ); beyond, a lens under trial has no shape worth a derivative
+_LEAST_SLOPE = 0.3  # of r(θ) over k1: where a lens nearly turns, θ says nothing of its shape
 _LEAST_VARIANCE = 1e-8  # of log tan θ
 # knots that rise and fall together are the scale: the other four directions, orthonormal
 _SHAPES = np.linalg.qr(np.column_stack([np.ones(5), np.eye(5)[:, :4]]))[0][:, 1:].T
@@ -87,7 +88,9 @@ def of_belief_shape(
     """
     camera = KannalaBrandt.from_vector(belief.mean, width, height).normalized()
     corner, _ = camera.theta(np.array([_CORNER]))
-    radii = camera.radius(min(_WIDEST, float(corner[0])) * _KNOTS)
+    angles = np.linspace(0.0, min(_WIDEST, float(corner[0])), _ANGLES)
+    steep = camera.radius_derivative(angles) >= _LEAST_SLOPE * camera.k[0]
+    radii = camera.radius(angles[np.flatnonzero(np.logical_and.accumulate(steep))[-1]] * _KNOTS)
     value, by_camera = _coordinates(camera, radii)
     covariance = by_camera[:, FREE] @ belief.covariance[np.ix_(FREE, FREE)] @ by_camera[:, FREE].T
     own = np.r_[np.full(len(_SHAPES), _LEAST_VARIANCE), np.zeros(len(_REST))]
@@ -104,7 +107,7 @@ def _coordinates(
     ∂θ/∂k_i at a fixed radius is −θ^(2i−1) / r'(θ).
     """
     theta = np.clip(camera.theta(radii)[0], 1e-3, _CAP)
-    slope = np.maximum(camera.radius_derivative(theta), _LEAST_SLOPE)
+    slope = np.maximum(camera.radius_derivative(theta), _LEAST_SLOPE * camera.k[0])
     by_theta = 1 / (np.sin(theta) * np.cos(theta))  # of log tan θ
     by_k = -camera.radius_jacobian(theta) * (by_theta / slope)[:, None]
     value = np.concatenate([_SHAPES @ np.log(np.tan(theta)), camera.to_vector()[list(_REST)]])
