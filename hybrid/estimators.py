@@ -9,9 +9,9 @@ from jaxtyping import UInt8
 from numpy import ndarray
 
 from classical.fit import (
-    Evidence,
     FitConfig,
     LensFit,
+    Observation,
     ParallelsConfig,
     VanishingConfig,
     fit_lens,
@@ -75,7 +75,7 @@ def too_small(pictures: Sequence[UInt8[ndarray, "h w 3"]]) -> Calibration | None
 
 def given_by_user(
     config: RectifyConfig, circles: Sequence[ImageCircle | None], width: int
-) -> list[Evidence]:
+) -> list[Observation]:
     """What the user knows of the lens."""
     known = []
     if config.camera_focal is not None:

@@ -17,15 +17,14 @@ from jaxtyping import Float, UInt8
 from numpy import ndarray
 
 from classical.fit import (
-    Evidence,
     FitConfig,
     LensPrior,
+    Observation,
     ParallelsConfig,
     VanishingConfig,
     fit_lens,
     of_belief,
     of_belief_field,
-    of_belief_shape,
 )
 from classical.lines import (
     Curve,
@@ -56,9 +55,9 @@ class HybridConfig:
         field_doubt: By how much the standard deviation of LaRecNet's field of view is widened
             before it is believed: a network does worse on real pictures than on those it was
             trained on …
-        shape_doubt: … and worst in the shape of the lens, whose are widened by more. Weights for
-            pictures like their training set alone say themselves how far their whole lens is to be
-            doubted: their card has a "doubt".
+        lens_doubt: … and worst in the shape of the lens, so those of the lens as a whole are
+            widened by more. Weights for pictures like their training set alone say themselves how
+            far their lens is to be doubted: their card has a "doubt".
         centring: Deviation of the principal points of real lenses in half picture widths, below
             which LaRecNet is not believed: it trained on lenses, too, that are centred exactly,
             and takes clean pictures to be of one.
@@ -69,8 +68,8 @@ class HybridConfig:
     snaps: bool = True
     adds_edges: bool = True
     believes: bool = True
-    field_doubt: float = 4.5
-    shape_doubt: float = 7.0
+    field_doubt: float = 4.0
+    lens_doubt: float = 8.0
     centring: float = 0.0125
     has_parallels: bool = True
     has_vanishing: bool = True
@@ -118,7 +117,7 @@ class HybridEstimator:
         if belief is not None:
             starts.append(belief.decode(np.zeros(8), width, height))
             if cfg.believes:
-                observations += self._believed(belief, width, height)
+                observations += self._believed(belief)
         fit = fit_lens(
             curves,
             width,
@@ -134,17 +133,17 @@ class HybridEstimator:
         )
         return replace(estimate_from_fit(fit), heatmaps=heatmaps)
 
-    def _believed(self, belief: LensPrior, width: int, height: int) -> list[Evidence]:
+    def _believed(self, belief: LensPrior) -> list[Observation]:
         """What the fit takes from LaRecNet's lens; see `HybridConfig`."""
         doubt = self._predictor.card.get("doubt")
         if doubt is not None:
             return [of_belief(belief, _NETWORK, doubt=float(doubt))]
-        cfg = self._hybrid
-        field = of_belief_field(belief, _NETWORK, doubt=cfg.field_doubt)
-        shape = of_belief_shape(
-            belief, _NETWORK, width, height, doubt=cfg.shape_doubt, centring=cfg.centring
-        )
-        return [field, shape]
+        return [
+            of_belief_field(belief, _NETWORK, doubt=self._hybrid.field_doubt),
+            of_belief(
+                belief, _NETWORK, doubt=self._hybrid.lens_doubt, centring=self._hybrid.centring
+            ),
+        ]
 
     def _lineness(self, picture: UInt8[ndarray, "h w 3"]) -> Float[ndarray, "hh ww"]:
         return self._predictor.lines(picture).lineness

@@ -2,7 +2,6 @@
 
 from .config import FitConfig as FitConfig
 from .fitted import fitted_curves as fitted_curves
-from .observations import Evidence as Evidence
 from .observations import Observation as Observation
 from .observations import observed as observed
 from .observations import of_belief as of_belief
@@ -22,8 +21,6 @@ from .reach import within_reach as within_reach
 from .result import FittedCurve as FittedCurve
 from .result import LensFit as LensFit
 from .search import SearchConfig as SearchConfig
-from .shape import ShapeObservation as ShapeObservation
-from .shape import of_belief_shape as of_belief_shape
 from .solve import SolverConfig as SolverConfig
 from .vanishing import ScaleEstimate as ScaleEstimate
 from .vanishing import VanishingConfig as VanishingConfig

@@ -1,14 +1,12 @@
 """What is known of a lens beside its curves: the image circle, a network, the user.
 
-Each is, near a camera, a linear observation of its vector and sharpens the prior by one Kalman
-update.
+Each is a linear observation of the camera's vector and sharpens the prior by one Kalman update.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float
@@ -23,29 +21,6 @@ _ALIKE = 2.0  # observations of one kind err alike: together they count for so m
 _ODD = 2 * np.arange(5) + 1
 _RIM, _WIDEST = 0.8, 1.6  # half picture widths; radians
 _STUDENT = 4.0  # degrees of freedom of a belief that may be plainly wrong
-
-
-@runtime_checkable
-class Evidence(Protocol):
-    """Something known of a lens, be it linear in the camera's vector or not."""
-
-    @property
-    def source(self) -> str:
-        """What it comes from, in words."""
-        ...
-
-    @property
-    def is_sure(self) -> bool:
-        """Whether it is held to however far the curves lead away from it."""
-        ...
-
-    def surprise(self, camera: KannalaBrandt) -> float:
-        """Squared Mahalanobis distance of a camera from what was observed."""
-        ...
-
-    def near(self, camera: KannalaBrandt) -> Observation:
-        """The linear observation, with the weight that it keeps, beside this camera."""
-        ...
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,18 +51,13 @@ class Observation:
         """The observation with the weight that it keeps beside this camera."""
         if self.is_sure:
             return self
-        excess = student_excess(self.surprise(camera), len(self.value))
-        return replace(self, covariance=self.covariance * excess)
+        excess = (_STUDENT + self.surprise(camera)) / (_STUDENT + len(self.value))
+        return replace(self, covariance=self.covariance * max(1.0, excess))
 
     def precision_along(self, direction: Float[np.ndarray, " 9"]) -> float:
         """Information about a shift of the camera's vector along a direction."""
         seen = self.matrix @ direction
         return float(seen @ np.linalg.solve(self.covariance, seen))
-
-
-def student_excess(surprise: float, size: int) -> float:
-    """By how much the covariance of `size` numbers grows that are off by so much, at least 1."""
-    return max(1.0, (_STUDENT + surprise) / (_STUDENT + size))
 
 
 def observed(prior: LensPrior, observation: Observation) -> LensPrior:
@@ -118,15 +88,21 @@ def of_circles(circles: Sequence[ImageCircle | None], width: int) -> Observation
     return Observation("image circle", _rows([*_CENTRE, _M_V]), value * units, spread)
 
 
-def of_belief(belief: LensPrior, source: str, *, doubt: float = 1.0) -> Observation:
+def of_belief(
+    belief: LensPrior, source: str, *, doubt: float = 1.0, centring: float = 0.0
+) -> Observation:
     """Another estimate of the whole lens.
 
     Args:
         belief: The estimate.
         source: Who made it.
         doubt: By how much its deviations are widened.
+        centring: Deviation of principal points in half picture widths, for an estimate that takes
+            lenses to be centred better than they are.
     """
-    covariance = belief.covariance[np.ix_(FREE, FREE)] * doubt**2
+    half = belief.mean[5]  # m_u, by the gauge
+    centre = np.isin(FREE, _CENTRE) * (centring * half) ** 2
+    covariance = belief.covariance[np.ix_(FREE, FREE)] * doubt**2 + np.diag(centre)
     return Observation(source, _rows(FREE.tolist()), belief.mean[FREE], covariance, is_sure=False)
 
 

@@ -24,7 +24,7 @@ from classical.fit.candidate import (
 )
 from classical.fit.config import FitConfig
 from classical.fit.fitted import fitted_curves
-from classical.fit.observations import Evidence, of_circles
+from classical.fit.observations import Observation, of_circles
 from classical.fit.parallels import ParallelsConfig
 from classical.fit.quality import judge, predicted_error
 from classical.fit.result import LensFit
@@ -47,7 +47,7 @@ def fit_lens(
     *,
     config: FitConfig = FitConfig(),
     circles: Sequence[ImageCircle | None] = (),
-    observations: Sequence[Evidence] = (),
+    observations: Sequence[Observation] = (),
     starts: Sequence[KannalaBrandt] = (),
     rims: Sequence[Float[np.ndarray, "_ 2"]] = (),
 ) -> LensFit:
@@ -84,7 +84,7 @@ def fit_lens(
 
 
 def _known(
-    circles: Sequence[ImageCircle | None], observations: Sequence[Evidence], width: int
+    circles: Sequence[ImageCircle | None], observations: Sequence[Observation], width: int
 ) -> Known:
     circle = of_circles(circles, width)
     if circle is None:

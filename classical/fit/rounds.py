@@ -12,7 +12,7 @@ from scipy.sparse import csc_array
 
 from classical.camera import KannalaBrandt
 from classical.fit.bends import BendConfig, Bends
-from classical.fit.observations import Evidence, observed
+from classical.fit.observations import Observation, observed
 from classical.fit.parallels import Parallels, ParallelsConfig, find_parallels
 from classical.fit.prior import LensPrior, generic_prior
 from classical.fit.samples import CurveSamples
@@ -31,7 +31,7 @@ class Known:
         has_free_aspect: Whether the pixels are clearly not square.
     """
 
-    observations: Sequence[Evidence] = ()
+    observations: Sequence[Observation] = ()
     has_free_aspect: bool = False
 
     @property
