@@ -33,8 +33,8 @@ def on_black(image: UInt8[np.ndarray, "h w 3"]) -> UInt8[np.ndarray, "h w 3"]:
     if np.ptp(corners, axis=0).max() > _EVEN or corners.max() <= _DARK:
         return image
     colour = np.median(corners, axis=0)
-    is_page = (np.abs(image.astype(np.int16) - colour.astype(np.int16)) <= _EVEN).all(axis=2)
-    _, labels = cv2.connectedComponents(is_page.astype(np.uint8), connectivity=4)
+    off = np.abs(image.astype(np.int16) - colour.astype(np.int16)).max(axis=2)
+    _, labels = cv2.connectedComponents(np.asarray(off <= _EVEN, np.uint8), connectivity=4)
     at_corners = np.unique(labels[[0, 0, -1, -1], [0, -1, 0, -1]])
     page = np.isin(labels, at_corners[at_corners > 0])
     if page.mean() < _LEAST_AREA:
