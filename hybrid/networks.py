@@ -16,8 +16,6 @@ from classical.fit import (
     fitted_curves,
     fused,
     generic_prior,
-    observed,
-    of_belief,
     predicted_error,
     straight_share,
     within_reach,
@@ -33,9 +31,8 @@ _LEAST_STRAIGHT = 0.8  # share of the curves' length; a lens that is right strai
 class LearnedEstimator:
     """LaRecNet without lines: its lens, fused over pictures of one lens.
 
-    The network's lens and covariance are one observation; what holds for lenses in general is the
-    other, and tells most where the network is unsure: centre, aspect, shape of r(θ). A network that
-    does not say how sure it is (the paper's) has the last word.
+    What holds for lenses in general is not heard: the network has learned more of them than that,
+    and of lenses that bend next to nothing, too.
     """
 
     def __init__(self, config: RectifyConfig) -> None:
@@ -49,9 +46,6 @@ class LearnedEstimator:
             nothing = tuple(() for _ in pictures)
             return Calibration(None, nothing, Quality(), "failed", "the network gave no lens")
         height, width = pictures[0].shape[:2]
-        if any(prediction.covariance is not None for prediction in predictions):
-            general = generic_prior(float(belief.mean[0]), width, height)
-            belief = observed(general, of_belief(belief, "network"))
         rim = np.concatenate([find_rim(picture) for picture in pictures])
         estimate = belief.decode(np.zeros(8), width, height)
         camera, reaches = within_reach(estimate, belief.covariance, rim)

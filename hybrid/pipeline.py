@@ -11,11 +11,11 @@ import numpy as np
 from jaxtyping import Shaped
 
 from classical.camera import KannalaBrandt, Pinhole
-from classical.lines import on_black
 from classical.warp import pinhole_target, remap, undistort_maps
 from hybrid.arrays import check_image, to_rgb8
 from hybrid.config import RectifyConfig
 from hybrid.methods import make_estimator
+from hybrid.page import on_black
 from hybrid.result import Calibration, Quality, Rectification, RectificationError, Status
 
 _SAME_SHAPE = 0.005  # relative difference of aspect ratios up to which a camera fits a picture

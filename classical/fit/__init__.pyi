@@ -3,7 +3,6 @@
 from .config import FitConfig as FitConfig
 from .fitted import fitted_curves as fitted_curves
 from .observations import Observation as Observation
-from .observations import observed as observed
 from .observations import of_belief as of_belief
 from .observations import of_belief_field as of_belief_field
 from .observations import of_field as of_field

@@ -5,7 +5,6 @@ from classical.lines.image_circle import ImageCircle as ImageCircle
 from classical.lines.image_circle import find_image_circle as find_image_circle
 from classical.lines.joining import JoinConfig as JoinConfig
 from classical.lines.joining import join_curves as join_curves
-from classical.lines.page import on_black as on_black
 from classical.lines.rim import find_rim as find_rim
 from classical.lines.vectorise import HeatmapCurvesConfig as HeatmapCurvesConfig
 from classical.lines.vectorise import ImageCurvesConfig as ImageCurvesConfig

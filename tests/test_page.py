@@ -4,7 +4,8 @@ import cv2
 import numpy as np
 import pytest
 
-from classical.lines import find_image_circle, on_black
+from classical.lines import find_image_circle
+from hybrid.page import on_black
 
 SIZE, RADIUS = 320, 120
 
