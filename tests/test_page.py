@@ -23,7 +23,9 @@ def in_circle(scene: np.ndarray, level: int) -> np.ndarray:
     out = scene.copy()
     out[np.hypot(u, v) > RADIUS] = level
     _, data = cv2.imencode(".jpg", out, [cv2.IMWRITE_JPEG_QUALITY, 90])
-    return cv2.imdecode(data, cv2.IMREAD_COLOR)
+    seen = cv2.imdecode(data, cv2.IMREAD_COLOR)
+    assert seen is not None
+    return seen
 
 
 @pytest.mark.parametrize("level", [100, 200, 255])
