@@ -27,6 +27,7 @@ from hybrid.commands.checks import (
 from hybrid.commands.reports import FAILURE, failure, progress, tell
 from hybrid.failures import ITEM_ERRORS
 from hybrid.images import Picture, is_picture_name, read_picture, write_picture
+from hybrid.page import on_black
 
 _SIDE = 420  # longest side of a photograph on the sheet, pixels
 _GAP = 12
@@ -79,7 +80,7 @@ def heatmaps(
         except ITEM_ERRORS as error:
             tell(failure(source, error), as_json=False)
             continue
-        cells.append(Cell(source.name, overlay(photo, predictor.lines(photo).lineness)))
+        cells.append(Cell(source.name, overlay(photo, predictor.lines(on_black(photo)).lineness)))
     if not cells:
         raise click.ClickException("expected a picture that can be read, got none")
     write_picture(out, Picture(sheet(cells, columns)))

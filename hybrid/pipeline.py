@@ -81,8 +81,7 @@ class Rectifier:
         """
         check_image(image)
         if camera is None:
-            with opencv_threads(self.config.threads):
-                found = self._estimator([on_black(to_rgb8(image))])
+            found = self.calibrate([image])
         else:
             camera = fitted_camera(camera, image.shape[1], image.shape[0])
             found = Calibration(camera, ((),), Quality(), "ok", "the camera was given")

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 from click.core import ParameterSource
@@ -18,29 +18,38 @@ _SCENES = (0.45, 0.35, 0.2, 0.0)
 _WILD = 0.8
 _STRAIGHT = 0.0
 
-scenes_option = click.option(
-    "--scenes",
-    default=_SCENES,
-    show_default=True,
-    nargs=4,
-    type=click.FloatRange(0, 1),
-    help="Shares of photographs as planes (D-Wireframe), boxes of photographs, panoramas, rendered "
-    "rooms.",
-)
-wild_option = click.option(
-    "--wild",
-    default=_WILD,
-    show_default=True,
-    type=click.FloatRange(0, 1),
-    help="Share of the prior `wild` in boxes and panoramas.",
-)
-straight_option = click.option(
-    "--straight",
-    default=_STRAIGHT,
-    show_default=True,
-    type=click.FloatRange(0, 1),
-    help="Share of pictures taken by lenses that bend next to nothing.",
-)
+_MIXTURE = {
+    "scenes": click.option(
+        "--scenes",
+        default=_SCENES,
+        show_default=True,
+        nargs=4,
+        type=click.FloatRange(0, 1),
+        help="Shares of photographs as planes (D-Wireframe), boxes of photographs, panoramas, "
+        "rendered rooms.",
+    ),
+    "wild": click.option(
+        "--wild",
+        default=_WILD,
+        show_default=True,
+        type=click.FloatRange(0, 1),
+        help="Share of the prior `wild` in boxes and panoramas.",
+    ),
+    "straight": click.option(
+        "--straight",
+        default=_STRAIGHT,
+        show_default=True,
+        type=click.FloatRange(0, 1),
+        help="Share of pictures taken by lenses that bend next to nothing.",
+    ),
+}
+
+
+def mixture_options(command: Callable[..., Any]) -> Callable[..., Any]:
+    """What the pictures of a training are."""
+    for option in reversed(_MIXTURE.values()):
+        command = option(command)
+    return command
 
 
 @click.command()
@@ -82,9 +91,7 @@ straight_option = click.option(
     type=click.Path(file_okay=False, path_type=Path),
     help="Where these samples are kept; default: OUT/samples. Runs may share them.",
 )
-@scenes_option
-@wild_option
-@straight_option
+@mixture_options
 @click.option("--rate", type=float, help="Learning rate, instead of the preset's.")
 @click.option("--fall", type=click.FloatRange(0, 1), help="Share of the run with a falling rate.")
 @click.option("--resume/--no-resume", default=True, show_default=True)
@@ -175,9 +182,7 @@ def train(
     type=_PACK,
     help="The pack of the training: fit the temperature of the predicted spread on it first.",
 )
-@scenes_option
-@wild_option
-@straight_option
+@mixture_options
 @click.option(
     "--samples", default=96, show_default=True, help="Of each validation, a multiple of 8."
 )
@@ -203,13 +208,15 @@ def assess(
     """Score a LaRecNet as its model card does: a file, or the name of weights that ship.
 
     The samples are the same for all weights: planes with lenses of the prior `paper`, clean, and
-    the default mixture of `train` with camera effects. --scenes and --wild say what the training
-    was made of and matter to --data alone.
+    the default mixture of `train` with camera effects. --scenes, --wild and --straight say what
+    the training was made of and matter to --data alone.
     """
     _check_output(weights, out, overwrite)
-    given = {context.get_parameter_source(name) for name in ("scenes", "wild")}
+    given = {context.get_parameter_source(name) for name in _MIXTURE}
     if pack is None and ParameterSource.COMMANDLINE in given:
-        raise click.UsageError("--scenes and --wild need --data, the pack of the training")
+        raise click.UsageError(
+            "--scenes, --wild and --straight need --data, the pack of the training"
+        )
     from learned import assess as assessment
     from learned.larecnet import LaRecNet
     from learned.slf.stream import StreamCfg

@@ -141,6 +141,7 @@ def test_weights_without_a_spread_are_scored_without_one(
         ("--samples 0", 2, "got 0"),
         ("--scenes 1 0 0 0", 2, "need --data"),
         ("--wild 0.5", 2, "need --data"),
+        ("--straight 0.5", 2, "need --data"),
         ("--out scored.pt", 2, "end in .safetensors, got scored.pt"),
         ("--out there.safetensors", 2, "--overwrite"),
         ("--out w.safetensors --overwrite", 2, "is an input"),

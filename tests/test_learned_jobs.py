@@ -92,9 +92,24 @@ def test_command_trains_on_the_scenes_it_was_given(
 
     monkeypatch.setattr("learned.jobs.train", one_batch)
     words = ["rong", "--data", str(pack), "--out", str(tmp_path), "--steps", "1", "--batch", "4"]
-    scenes = ["--scenes", "0.25", "1", "0", "0", "--wild", "0.125", "--size", "64", "--cpu"]
+    scenes = [
+        "--scenes",
+        "0.25",
+        "1",
+        "0",
+        "0",
+        "--wild",
+        "0.125",
+        "--straight",
+        "0.5",
+        "--size",
+        "64",
+        "--cpu",
+    ]
     CliRunner().invoke(train_command, [*words, *scenes])
-    given = StreamCfg(scenes=(0.25, 1.0, 0.0, 0.0), wild_share=0.125, with_rectified=False)
+    given = StreamCfg(
+        scenes=(0.25, 1.0, 0.0, 0.0), wild_share=0.125, straight_share=0.5, with_rectified=False
+    )
     expected = SlfStream(load_atlas(pack), 1, 4, 64, given).batch(0)
     assert torch.equal(batches[0].image, expected.image)
     assert torch.equal(batches[0].k, expected.k)

@@ -1,13 +1,17 @@
 """Photographs that were put on a page."""
 
+from pathlib import Path
+
 import cv2
 import numpy as np
 import pytest
 
 from classical.lines import find_image_circle
+from hybrid import RectifyConfig, rectify
 from hybrid.page import on_black
 
 SIZE, RADIUS = 320, 120
+EXAMPLE = Path(__file__).parents[1] / "examples" / "room.jpg"
 
 
 @pytest.fixture
@@ -66,3 +70,17 @@ def test_what_is_as_bright_as_the_page_but_not_joined_to_it_stays(scene) -> None
     page[150:200, 100:150] = 255
     out = on_black(page)
     assert (out[160:190, 110:140] == 255).all()
+
+
+def test_the_lens_is_sought_without_the_page_and_the_result_shows_it() -> None:
+    room = cv2.imread(str(EXAMPLE))
+    assert room is not None
+    small = cv2.resize(room, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA)
+    page = np.full((small.shape[0] + 160, small.shape[1], 3), 128, np.uint8)
+    page[80:-80] = small
+    config = RectifyConfig(method="classical", balance=1.0)
+    seen, told = (rectify(picture, config) for picture in (page, on_black(page)))
+    assert seen.camera is not None
+    assert told.camera is not None
+    np.testing.assert_array_equal(seen.camera.to_vector(), told.camera.to_vector())
+    assert seen.image.mean() > told.image.mean() + 1

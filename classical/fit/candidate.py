@@ -81,11 +81,12 @@ def unless_straight(
 
 def is_open(found: Candidate, config: FitConfig) -> bool:
     """Whether another estimate of the lens may be all that speaks for the bend of a candidate."""
-    if found.note == UNTOLD or is_slight(found, 2 * config.slight_bend):
-        return found.note != STRAIGHT
-    if found.note or found.perspective is None or config.perspective is None:
-        return False
-    return found.perspective.gain < config.perspective.clear_gain
+    if found.note:
+        return found.note == UNTOLD
+    if is_slight(found, 2 * config.slight_bend):
+        return True
+    said, limits = found.perspective, config.perspective
+    return said is not None and limits is not None and said.gain < limits.clear_gain
 
 
 def is_better_alone(alone: Candidate, found: Candidate, config: FitConfig) -> bool:
