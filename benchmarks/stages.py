@@ -44,7 +44,7 @@ def measure_stages(image: np.ndarray, rounds: int) -> dict[str, float]:
     """Seconds of each stage, in the order of the work."""
     height, width = image.shape[:2]
     curves = curves_from_image(image)
-    camera = fit_lens([curves], width, height).camera
+    camera = fit_lens([curves], width, height, pictures=[image]).camera
     assert camera is not None
     target = pinhole_target(camera)
     maps = undistort_maps(camera, target)
@@ -59,7 +59,7 @@ def measure_stages(image: np.ndarray, rounds: int) -> dict[str, float]:
         f"fit, the longest {SOME_CURVES} curves": partial(
             fit_lens, [_longest(curves, SOME_CURVES)], width, height
         ),
-        "fit, all curves": lambda: fit_lens([both], width, height),
+        "fit, all curves": lambda: fit_lens([both], width, height, pictures=[image]),
         "frame": lambda: pinhole_target(camera),
         "maps of a new lens": _new_maps(camera, target),
     }

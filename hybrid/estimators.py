@@ -60,6 +60,7 @@ class ClassicalEstimator:
             circles=circles,
             observations=given_by_user(self._config, circles, width),
             rims=[find_rim(picture) for picture in pictures],
+            pictures=pictures,
         )
         return estimate_from_fit(fit)
 

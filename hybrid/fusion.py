@@ -130,6 +130,7 @@ class HybridEstimator:
             observations=observations,
             starts=starts,
             rims=[find_rim(picture) for picture in pictures],
+            pictures=pictures,
         )
         return replace(estimate_from_fit(fit), heatmaps=heatmaps)
 

@@ -386,7 +386,7 @@ def test_a_slight_gain_by_a_bend_is_asked_for_without_the_belief() -> None:
 def test_a_belief_in_a_wide_fisheye_does_not_bend_a_slight_bend_further() -> None:
     truth = projection(1.8, -0.8, WIDTH, HEIGHT)
     wide = projection(0.9, 0.0, WIDTH, HEIGHT)
-    curves = line_pictures(truth, 50, np.random.default_rng(12), noise=0.3)
+    curves = line_pictures(truth, 12, np.random.default_rng(12), noise=0.3)
     general = generic_prior(float(wide.k[0]), WIDTH, HEIGHT)
     belief = of_belief(LensPrior(wide.to_vector(), general.covariance * 0.05), "a network")
     heard, unheard = (

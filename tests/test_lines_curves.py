@@ -17,7 +17,7 @@ from classical.lines import (
     join_curves,
 )
 from classical.lines.circle import fit_circles
-from classical.lines.joining import sampson_rays
+from classical.lines.great_circles import sampson_rays
 from classical.lines.pieces import fit_arcs
 from classical.lines.smooth import SmoothConfig, smooth_arcs
 

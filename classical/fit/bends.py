@@ -16,6 +16,7 @@ from jaxtyping import Float
 from scipy.sparse import csc_array
 
 from classical.fit.samples import CurveSamples
+from classical.lines.curve import REFERENCE_WIDTH
 
 _FIRST = 2  # order of the bow
 
@@ -36,8 +37,8 @@ class BendConfig:
 
     orders: int = 4
     reference: float = 100.0
-    shortest: float = 30.0
-    growth: float = 0.6
+    shortest: float = 100.0
+    growth: float = 0.5
     decay: float = 1.3
     deviation_range: tuple[float, float] = (0.1, 1.0)
 
@@ -63,7 +64,7 @@ class Bends:
     @classmethod
     def of(cls, samples: CurveSamples, width: int, config: BendConfig) -> Bends:
         """Bends of the curves of pictures so many pixels wide."""
-        scale = width / 1280
+        scale = width / REFERENCE_WIDTH
         lengths = np.maximum(samples.lengths / scale, config.shortest) / config.reference
         orders = np.arange(_FIRST, _FIRST + config.orders)
         shapes = lengths[:, None] ** config.growth * (_FIRST / orders) ** config.decay

@@ -13,7 +13,7 @@ from jaxtyping import Float
 from classical.camera import KannalaBrandt
 from classical.fit.scale import scale_tangent, scale_variance
 
-_CAUTION = 2.8  # expected errors of the shape over those that come true
+_CAUTION = 2.5  # expected errors of the shape over those that come true
 
 
 def calibrated(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -11,12 +11,12 @@ from classical.fit.bends import BendConfig
 from classical.fit.fitted import STRAIGHT_PX
 from classical.fit.parallels import ParallelsConfig
 from classical.fit.perspective import PerspectiveConfig
-from classical.fit.rounds import REFERENCE_WIDTH
 from classical.fit.samples import CurveSamples, sample_curves
 from classical.fit.search import SearchConfig
 from classical.fit.solve import SolverConfig
 from classical.fit.vanishing import VanishingConfig
-from classical.lines import Curve
+from classical.lines import Curve, TracingConfig
+from classical.lines.curve import REFERENCE_WIDTH
 
 
 @dataclass(frozen=True)
@@ -29,7 +29,10 @@ class FitConfig:
         inlier_tolerance: RMS residual up to which a curve is called straight.
         spacing: Distance between samples on a curve.
         max_curves: Longest curves used in each picture.
-        joinings: How often pieces of one line are joined under the lens and the fit repeated.
+        joinings: How often pieces of one line are joined under the lens and the fit repeated …
+        tracings: … and how often more, with lines followed beyond their ends, where the pictures
+            are given.
+        tracing: How far they are followed.
         perspective: When a picture is taken for straight already; None means never.
         slight_bend: A lens that moves the picture by less than this, pixels of a 320 frame, is
             none of those that another estimate is made to tell apart.
@@ -45,6 +48,8 @@ class FitConfig:
     spacing: float = 14.0
     max_curves: int = 120
     joinings: int = 1
+    tracings: int = 2
+    tracing: TracingConfig = field(default_factory=TracingConfig)
     perspective: PerspectiveConfig | None = field(default_factory=PerspectiveConfig)
     slight_bend: float = 4.0
     parallels: ParallelsConfig | None = field(default_factory=ParallelsConfig)
@@ -55,6 +60,11 @@ class FitConfig:
     def tolerance(self, width: int) -> float:
         """`inlier_tolerance` in a picture of that width."""
         return self.inlier_tolerance * width / REFERENCE_WIDTH
+
+    @property
+    def last(self) -> FitConfig:
+        """The last round alone, for a lens that is known already."""
+        return replace(self, tolerances=self.tolerances[-1:])
 
     def samples(
         self, curve_sets: Sequence[Sequence[Curve]], width: int, *, most: int | None = None

@@ -11,6 +11,7 @@ from classical.fit.result import FittedCurve
 from classical.fit.samples import CurveSamples
 from classical.fit.straightness import straightness
 from classical.lines import Curve
+from classical.lines.curve import REFERENCE_WIDTH
 
 STRAIGHT_PX = 1.0  # RMS residual up to which a curve is straight, in a picture 1280 wide
 
@@ -29,7 +30,7 @@ def fitted_curves(
     if not curves:
         return ()
     if tolerance is None:
-        tolerance = STRAIGHT_PX * camera.width / 1280
+        tolerance = STRAIGHT_PX * camera.width / REFERENCE_WIDTH
     counts = np.array([len(curve.points) for curve in curves])
     starts = np.concatenate([[0], np.cumsum(counts)[:-1]])
     points = np.concatenate([curve.points for curve in curves])

@@ -7,7 +7,7 @@ from dataclasses import replace
 from functools import partial
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, UInt8
 from threadpoolctl import ThreadpoolController
 
 from classical.camera import KannalaBrandt
@@ -33,7 +33,7 @@ from classical.fit.samples import CurveSamples
 from classical.fit.scale import held_scale, scale_source, scale_tangent, scale_variance
 from classical.fit.search import search
 from classical.fit.straightness import straightness
-from classical.lines import Curve, ImageCircle, join_curves
+from classical.lines import Curve, ImageCircle, join_curves, trace_further
 
 # one thread: matrices of eight columns gain nothing from two, and the answer keeps its bits
 _CONTROLLER = ThreadpoolController()
@@ -50,6 +50,7 @@ def fit_lens(
     observations: Sequence[Observation] = (),
     starts: Sequence[KannalaBrandt] = (),
     rims: Sequence[Float[np.ndarray, "_ 2"]] = (),
+    pictures: Sequence[UInt8[np.ndarray, "..."]] = (),
 ) -> LensFit:
     """Find the lens under which the curves of all pictures are straight.
 
@@ -63,6 +64,8 @@ def fit_lens(
             for lenses in general (`generic_prior`) is always believed.
         starts: Lenses to begin with beside those of the global search.
         rims: The outermost pixels that each picture shows (`find_rim`), which the lens reaches.
+        pictures: The pictures themselves, in which lines are followed beyond the ends of their
+            curves; without them curves stay as long as they are.
 
     Returns:
         The fit. Straight lines stay straight when the rectified plane is scaled, so the scale
@@ -72,7 +75,7 @@ def fit_lens(
     with _CONTROLLER.limit(limits=1, user_api="blas"):
         known = _known(circles, observations, width)
         rim = np.concatenate([np.zeros((0, 2)), *rims])
-        fit = partial(_fit, curve_sets, width, height, config=config, rim=rim)
+        fit = partial(_fit, curve_sets, pictures, width, height, config=config, rim=rim)
         best, joined = fit(known=known, starts=starts)
         if best is None:
             return _failure(curve_sets, "no curve was found that could be a straight line")
@@ -96,6 +99,7 @@ def _known(
 
 def _fit(
     curve_sets: Sequence[Sequence[Curve]],
+    pictures: Sequence[UInt8[np.ndarray, "..."]],
     width: int,
     height: int,
     *,
@@ -113,21 +117,65 @@ def _fit(
         *search(samples, width, height, config=config.search),
     ]
     best = _best(samples, starts, known, config)
-    joined = curve_sets
-    for _ in range(config.joinings):
-        joined = [join_curves(list(curves), best.camera) for curves in curve_sets]
-        samples = config.samples(joined, width)
-        final = replace(config, tolerances=config.tolerances[-1:])
-        best = _settled(samples, best.camera, known, final)
-    if config.parallels is not None:
-        best = _with_parallels(best, joined, known, config)
-    source = scale_source(best, known)
-    candidate = Candidate(best.camera, best.covariance, source)
-    if config.perspective is not None:
-        candidate = unless_straight(candidate, curve_sets, joined, known, config)
+    best, joined = _joined(best, curve_sets, known, config)
+    candidate = _candidate(best, curve_sets, joined, known, config)
+    if pictures and config.tracings:
+        best, joined = _followed(best, candidate.camera, joined, pictures, known, config)
+        candidate = _candidate(best, joined, joined, known, config)
     if config.vanishing is not None:
         candidate = with_scale(candidate, joined, config)
     return to_rim(candidate, rim), joined
+
+
+def _joined(
+    best: Settled, curve_sets: Sequence[Sequence[Curve]], known: Known, config: FitConfig
+) -> tuple[Settled, Sequence[Sequence[Curve]]]:
+    """Settle again with pieces of one line joined, then with directions of lines."""
+    joined = curve_sets
+    for _ in range(config.joinings):
+        joined = [join_curves(list(curves), best.camera) for curves in curve_sets]
+        best = _best(config.samples(joined, best.camera.width), [best.camera], known, config.last)
+    return _with_parallels(best, joined, known, config), joined
+
+
+def _followed(
+    best: Settled,
+    candidate: KannalaBrandt,
+    curve_sets: Sequence[Sequence[Curve]],
+    pictures: Sequence[UInt8[np.ndarray, "..."]],
+    known: Known,
+    config: FitConfig,
+) -> tuple[Settled, Sequence[Sequence[Curve]]]:
+    """Settle again with lines followed beyond the ends of their curves.
+
+    They are followed under `candidate`, first; where that is a straight lens in place of the best
+    one, the two compete on what is found.
+    """
+    starts = [candidate] if candidate is best.camera else [best.camera, candidate]
+    for _ in range(config.tracings):
+        traced = [
+            trace_further(curves, starts[-1], picture, config=config.tracing)
+            for curves, picture in zip(curve_sets, pictures, strict=True)
+        ]
+        curve_sets = [join_curves(curves, starts[-1]) for curves in traced]
+        samples = config.samples(curve_sets, candidate.width)
+        best = _best(samples, starts, known, config if len(starts) > 1 else config.last)
+        starts = [best.camera]
+    return _with_parallels(best, curve_sets, known, config), curve_sets
+
+
+def _candidate(
+    best: Settled,
+    curve_sets: Sequence[Sequence[Curve]],
+    joined: Sequence[Sequence[Curve]],
+    known: Known,
+    config: FitConfig,
+) -> Candidate:
+    """What is to be made of a lens, but for its scale."""
+    candidate = Candidate(best.camera, best.covariance, scale_source(best, known))
+    if config.perspective is None:
+        return candidate
+    return unless_straight(candidate, curve_sets, joined, known, config)
 
 
 def _best(
@@ -169,7 +217,8 @@ def _with_parallels(
     They tell no scale, so that is held; and how far lines of one direction err together is not
     known, so the lens is believed no more than by its bends.
     """
-    assert config.parallels is not None
+    if config.parallels is None:
+        return best
     samples = config.samples(curve_sets, best.camera.width, most=config.parallels.max_curves)
     held = replace(known, observations=[*known.observations, held_scale(best.camera)])
     rounds = replace(config, tolerances=config.tolerances[-1:] * len(config.parallels.tolerances))

@@ -19,8 +19,6 @@ from classical.fit.samples import CurveSamples
 from classical.fit.solve import SolverConfig, solve
 from classical.fit.straightness import Straightness, straightness
 
-REFERENCE_WIDTH = 1280  # tolerances are pixels of a picture this wide
-
 
 @dataclass(frozen=True, eq=False)
 class Known:

@@ -25,6 +25,7 @@ from classical.fit.vanishing import (
     rescaled,
     scale_from_directions,
 )
+from classical.lines.curve import REFERENCE_WIDTH
 
 _M_U = 5  # of (k1..k5, m_u, m_v, u0, v0)
 _STEP = 0.02
@@ -84,7 +85,7 @@ def vanishing_scale(
         tolerance: RMS residual up to which a curve is straight, pixels.
         config: How to search.
     """
-    scale = camera.width / 1280
+    scale = camera.width / REFERENCE_WIDTH
     few = samples.coarse(curves=config.most_lines, most=12)
     result = straightness(camera, few)
     good = few.curve_rms(result.residuals) <= tolerance

@@ -20,6 +20,7 @@ from classical.camera.ray_field import RayField, plane_radius
 from classical.fit.circles import best_circles, sampson_distances
 from classical.fit.prior import generic_surprise
 from classical.fit.samples import CurveSamples
+from classical.lines.curve import REFERENCE_WIDTH
 
 _PROJECTIONS = (-0.5, 0.0, 0.5)
 _STRENGTHS = np.geomspace(0.4, 2.0, 6)  # f in half widths; 2.2 bends nothing visibly
@@ -129,7 +130,7 @@ def search(
         config: How long to search.
     """
     few = samples.coarse(curves=config.curves, most=config.samples)
-    cost = _Consensus(few, width, height, config.tolerance * width / 1280)
+    cost = _Consensus(few, width, height, config.tolerance * width / REFERENCE_WIDTH)
     grid = [
         (cost(np.array([np.log(f), b, 0.0, 0.0])), i, j)
         for i, f in enumerate(_STRENGTHS)

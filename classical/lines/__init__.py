@@ -6,6 +6,8 @@ from classical.lines.image_circle import find_image_circle as find_image_circle
 from classical.lines.joining import JoinConfig as JoinConfig
 from classical.lines.joining import join_curves as join_curves
 from classical.lines.rim import find_rim as find_rim
+from classical.lines.tracing import TracingConfig as TracingConfig
+from classical.lines.tracing import trace_further as trace_further
 from classical.lines.vectorise import HeatmapCurvesConfig as HeatmapCurvesConfig
 from classical.lines.vectorise import ImageCurvesConfig as ImageCurvesConfig
 from classical.lines.vectorise import centre_curves as centre_curves

@@ -135,6 +135,11 @@ def finish_curves(
     return sorted(curves, key=lambda curve: -curve.length)
 
 
+def contrast_of_strength(strength: float) -> float:
+    """The contrast in grey levels behind a curve's strength."""
+    return _HALF_CONTRAST * strength / max(1 - strength, 1e-6)
+
+
 def _refined(arcs: Arcs, full: np.ndarray, reach: float, config: SnapConfig) -> Arcs:
     """Points placed again on the full picture; curves along which that finds little stay."""
     snapped = snap_to_edges(full, arcs.points, arcs.offsets, reach=reach, config=config)

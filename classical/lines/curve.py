@@ -9,6 +9,8 @@ from functools import cached_property
 import numpy as np
 from jaxtyping import Float, Int
 
+REFERENCE_WIDTH = 1280  # most tolerances are pixels of a picture this wide
+
 
 @dataclass(frozen=True, eq=False)
 class Curve:

@@ -1,10 +1,8 @@
 """Pieces of one line joined under a camera: curves that lie on one great circle.
 
-With n the normal of the circle and r the ray of a pixel, e = (n·r) / |∂(n·r)/∂pixel| is the
-distance of the pixel from the line's image to first order (Sampson), in pixels of the photograph.
-For fixed weights the sum of its squares is nᵀ A n with A = Σ r rᵀ / |∂(n·r)/∂pixel|², and the A of
-two curves add up: a pair is tried by the smallest eigenvector of a 3x3 matrix. Polarity plays no
-part, so the edges of a chessboard, which flip at every corner, are joined to whole lines.
+The matrices A of two pieces add up (`great_circles`), so a pair is tried by the smallest
+eigenvector of a 3x3 matrix. Polarity plays no part, so the edges of a chessboard, which flip at
+every corner, are joined to whole lines.
 """
 
 from __future__ import annotations
@@ -12,15 +10,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float
 
 from classical.camera import Division, KannalaBrandt, Pinhole
-from classical.camera.ray_field import ray_field
-from classical.lines.curve import Curve, thinned_curves
+from classical.lines.curve import Curve
+from classical.lines.great_circles import CirclePieces, describe_curves, own_rms
 
-_SPACING = 4.0  # pixels between the points that are used to compare curves
-_STEP = 0.5  # pixels, for derivatives of rays
-_REWEIGHTINGS = 2
 _BOUND_SLACK = 1.01  # for rounding
 
 
@@ -48,20 +42,6 @@ class JoinConfig:
     rounds: int = 8
 
 
-@dataclass(frozen=True)
-class _Pieces:
-    """Curves as statistics of their rays; arrays have one row a piece."""
-
-    scatter: np.ndarray  # (p, 3, 3), A of the module's docstring
-    count: np.ndarray  # (p,) points behind it
-    rms: np.ndarray  # (p,) distance from the piece's own circle, pixels
-    length: np.ndarray  # (p,) pixels
-    ends: np.ndarray  # (p, 2, 2) pixels
-    end_rays: np.ndarray  # (p, 2, 3)
-    middle: np.ndarray  # (p, 3) mean ray
-    members: list[list[int]]  # indices of curves
-
-
 def join_curves(
     curves: list[Curve],
     camera: KannalaBrandt | Division | Pinhole,
@@ -79,7 +59,7 @@ def join_curves(
         Curves, of which joined ones hold the points of all their pieces in order along the circle;
         the longest first. Curves that the camera does not see are returned as they are.
     """
-    pieces, unseen = _describe(curves, camera)
+    pieces, unseen = describe_curves(curves, camera)
     for _ in range(config.rounds):
         pairs = _best_pairs(pieces, config)
         if not len(pairs):
@@ -90,79 +70,7 @@ def join_curves(
     return sorted(alone + joined + [curves[k] for k in unseen], key=lambda curve: -curve.length)
 
 
-def sampson_rays(
-    points: Float[np.ndarray, "n 2"], camera: KannalaBrandt | Division | Pinhole
-) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, "n 3 2"]]:
-    """Rays of pixels and their derivatives, by central differences where need be; NaN if unseen."""
-    if isinstance(camera, KannalaBrandt):
-        field, valid = ray_field(camera, points[:, 0], points[:, 1])
-        return np.where(valid[:, None], field.rays(), np.nan), field.jacobian()
-    rays, valid = camera.unproject(points)
-    derivative = np.empty((len(points), 3, 2))
-    for axis in (0, 1):
-        step = np.zeros(2)
-        step[axis] = _STEP
-        ahead, valid_ahead = camera.unproject(points + step)
-        behind, valid_behind = camera.unproject(points - step)
-        derivative[:, :, axis] = (ahead - behind) / (2 * _STEP)
-        valid = valid & valid_ahead & valid_behind
-    return np.where(valid[:, None], rays, np.nan), derivative
-
-
-def _describe(
-    curves: list[Curve], camera: KannalaBrandt | Division | Pinhole
-) -> tuple[_Pieces, list[int]]:
-    """Statistics of the curves that the camera sees, and the indices of the others."""
-    if not curves:
-        none = np.empty((0, 3))
-        return _Pieces(
-            np.empty((0, 3, 3)), none[:, 0], none[:, 0], none[:, 0], np.empty((0, 2, 2)),
-            np.empty((0, 2, 3)), none, [],
-        ), []  # fmt: skip
-    coarse, count = thinned_curves(curves, [_SPACING] * len(curves))
-    rays, derivative = sampson_rays(coarse, camera)
-    finite = np.isfinite(rays[:, 0])
-    visible = np.logical_and.reduceat(finite, np.cumsum(count) - count)
-    seen, unseen = np.flatnonzero(visible).tolist(), np.flatnonzero(~visible).tolist()
-    inside = np.repeat(visible, count)
-    rays, derivative, count = rays[inside], derivative[inside], count[visible]
-    last = np.cumsum(count) - 1
-    starts = last + 1 - count
-    scatter = _scatter(rays, derivative, starts, count)
-    return _Pieces(
-        scatter,
-        count.astype(np.float64),
-        _own_rms(scatter, count),
-        np.array([curves[k].length for k in seen]),
-        np.array([(curves[k].points[0], curves[k].points[-1]) for k in seen]).reshape(-1, 2, 2),
-        np.stack([rays[starts], rays[last]], axis=1),
-        np.add.reduceat(rays, starts) / count[:, None] if seen else np.empty((0, 3)),
-        [[k] for k in seen],
-    ), unseen
-
-
-def _scatter(
-    rays: np.ndarray, derivative: np.ndarray, starts: np.ndarray, count: np.ndarray
-) -> np.ndarray:
-    """A of each curve, weighted for its own circle, shape (C, 3, 3)."""
-    if not len(starts):
-        return np.empty((0, 3, 3))
-    outer = rays[:, :, None] * rays[:, None, :]
-    scatter = np.add.reduceat(outer, starts)
-    for _ in range(_REWEIGHTINGS):
-        normal = np.repeat(np.linalg.eigh(scatter)[1][:, :, 0], count, axis=0)
-        slope = np.matmul(normal[:, None], derivative)[:, 0]
-        weight = 1 / np.maximum((slope**2).sum(axis=1), 1e-20)
-        scatter = np.add.reduceat(outer * weight[:, None, None], starts)
-    return scatter
-
-
-def _own_rms(scatter: np.ndarray, count: np.ndarray) -> np.ndarray:
-    """Root mean square distance of each piece from its own circle, pixels."""
-    return np.sqrt(np.maximum(np.linalg.eigvalsh(scatter)[:, 0], 0) / np.maximum(count - 2, 1))
-
-
-def _best_pairs(pieces: _Pieces, config: JoinConfig) -> list[tuple[int, int]]:
+def _best_pairs(pieces: CirclePieces, config: JoinConfig) -> list[tuple[int, int]]:
     """Disjoint pairs of pieces of one line, the surest first."""
     if len(pieces.members) < 2:
         return []
@@ -191,7 +99,9 @@ def _best_pairs(pieces: _Pieces, config: JoinConfig) -> list[tuple[int, int]]:
     return pairs
 
 
-def _near_pairs(pieces: _Pieces, config: JoinConfig) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _near_pairs(
+    pieces: CirclePieces, config: JoinConfig
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Pairs of pieces with a gap that their lengths allow, and the gap."""
     squared = np.full((len(pieces.members), len(pieces.members)), np.inf)
     ends = np.ascontiguousarray(pieces.ends.transpose(1, 2, 0))  # (2, 2, p)
@@ -219,7 +129,7 @@ def _exceeds(matrices: np.ndarray, bound: np.ndarray) -> np.ndarray:
     return (xx > 0) & (minor > 0) & (determinant > 0)
 
 
-def _overlap(pieces: _Pieces, i: np.ndarray, j: np.ndarray, normal: np.ndarray) -> np.ndarray:
+def _overlap(pieces: CirclePieces, i: np.ndarray, j: np.ndarray, normal: np.ndarray) -> np.ndarray:
     """Part of the shorter piece that lies beside the longer one, by angle along the circle."""
     axis = pieces.middle[i] + pieces.middle[j]
     axis -= (axis * normal).sum(axis=1, keepdims=True) * normal
@@ -237,7 +147,7 @@ def _overlap(pieces: _Pieces, i: np.ndarray, j: np.ndarray, normal: np.ndarray) 
     return np.maximum(shared, 0) / np.maximum(shorter, 1e-9)
 
 
-def _merge(pieces: _Pieces, pairs: list[tuple[int, int]]) -> _Pieces:
+def _merge(pieces: CirclePieces, pairs: list[tuple[int, int]]) -> CirclePieces:
     """Pieces with each pair replaced by its sum."""
     first, second = np.array(pairs).T
     scatter, count = pieces.scatter.copy(), pieces.count.copy()
@@ -256,10 +166,10 @@ def _merge(pieces: _Pieces, pairs: list[tuple[int, int]]) -> _Pieces:
         length[a] = max(float(np.sqrt(apart.max())), length[a] + length[b])
         members[a] = members[a] + members[b]
     keep = np.setdiff1d(np.arange(len(members)), second)
-    return _Pieces(
+    return CirclePieces(
         scatter[keep],
         count[keep],
-        _own_rms(scatter[keep], count[keep]),
+        own_rms(scatter[keep], count[keep]),
         length[keep],
         ends[keep],
         end_rays[keep],
@@ -285,5 +195,6 @@ def _joined(groups: list[list[Curve]], camera: KannalaBrandt | Division | Pinhol
         sigma = np.sqrt(np.average([curve.sigma**2 for curve in group], weights=weight))
         strength = np.average([curve.strength for curve in group], weights=weight)
         order = np.argsort(angle, kind="stable")
-        joined.append(Curve(places[order], float(sigma), float(strength)))
+        is_hinted = all(curve.is_hinted for curve in group)
+        joined.append(Curve(places[order], float(sigma), float(strength), is_hinted))
     return joined

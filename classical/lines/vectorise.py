@@ -22,6 +22,7 @@ from classical.lines.rejection import RejectionConfig, Surround, find_surround
 from classical.lines.ridges import RidgeConfig, detect_ridges, smoothed_heat
 from classical.lines.smooth import SmoothConfig, inliers, smooth_arcs
 from classical.lines.snap import SnapConfig, sample, snap_to_edges
+from classical.lines.working import grey_picture, working_picture
 
 _SNAP_FLOOR = 0.6  # working pixels; a snapped path may still follow two edges in turn
 
@@ -113,8 +114,8 @@ def curves_from_image(
     Returns:
         Curves in pixels of `image`, the longest first.
     """
-    full = _grey(image)
-    work, scale = _working_picture(full, config)
+    full = grey_picture(image)
+    work, scale = working_picture(full, config.min_size, config.max_size)
     arcs = _edge_arcs(detect_edges(work, config=config.edges), find_surround(work), config)
     arcs = longest_arcs(arcs, config.max_curves)
     return finish_curves(arcs, full, scale, config.refinement)
@@ -138,8 +139,8 @@ def curves_from_heatmap(
     """
     if heatmap.ndim != 2:
         raise ValueError(f"Expected a heatmap of shape (h, w), got {heatmap.shape}.")
-    full = _grey(image)
-    work, scale = _working_picture(full, config.image)
+    full = grey_picture(image)
+    work, scale = working_picture(full, config.image.min_size, config.image.max_size)
     wide, threshold = _wide_heat(heatmap, config)
     ridges = detect_ridges(heatmap, config=config.ridges)
     edges = _hot_edges(detect_edges(work, config=config.image.edges), wide, threshold)
@@ -177,8 +178,8 @@ def curves_from_both(
     Returns:
         Curves in pixels of `image`, the longest first.
     """
-    full = _grey(image)
-    work, scale = _working_picture(full, edges)
+    full = grey_picture(image)
+    work, scale = working_picture(full, edges.min_size, edges.max_size)
     surround = find_surround(work)
     arcs = _edge_arcs(detect_edges(work, config=edges.edges), surround, edges)
     arcs = longest_arcs(arcs, edges.max_curves)
@@ -239,31 +240,6 @@ def _unsnapped_curves(
         Curve((arcs.points[start:stop] + 0.5) / scale - 0.5, sigma, 0.0)
         for start, stop in zip(arcs.offsets[:-1], arcs.offsets[1:], strict=True)
     ]
-
-
-def _grey(image: np.ndarray) -> np.ndarray:
-    """Grey uint8 picture."""
-    if image.dtype != np.uint8 or image.ndim not in (2, 3):
-        raise ValueError(f"Expected uint8 (h, w) or (h, w, 3), got {image.dtype} {image.shape}.")
-    if image.ndim == 2:
-        return np.ascontiguousarray(image)
-    if image.shape[2] != 3:
-        raise ValueError(f"Expected 3 channels, got {image.shape[2]}.")
-    return cv2.cvtColor(np.ascontiguousarray(image), cv2.COLOR_RGB2GRAY)
-
-
-def _working_picture(grey: np.ndarray, config: ImageCurvesConfig) -> tuple[np.ndarray, np.ndarray]:
-    """Float picture of a workable size, and its pixels per pixel of the input along u and v."""
-    longest = max(grey.shape)
-    scale = min(max(config.min_size / longest, 1.0), 2.0)
-    if longest > config.max_size:
-        scale = config.max_size / longest
-    height, width = grey.shape
-    size = (max(1, round(width * scale)), max(1, round(height * scale)))
-    if scale != 1.0:
-        kind = cv2.INTER_AREA if scale < 1 else cv2.INTER_CUBIC
-        grey = cv2.resize(grey, size, interpolation=kind)
-    return grey.astype(np.float32), np.array([size[0] / width, size[1] / height])
 
 
 def _edge_arcs(edges: EdgePoints, surround: Surround, config: ImageCurvesConfig) -> Arcs:
