@@ -75,6 +75,7 @@ STEPS = tuple(
         ("prior", "… and its belief", "#807dba"),
         ("snapped", "… and sub-pixel edges", "#6a51a3"),
         ("edges", "… and the picture's own edges", "#4a1486"),
+        ("followed", "… and lines followed further", "#3b0f70"),
         ("parallels", "… and directions of lines", "#2d0a57"),
     )
 )

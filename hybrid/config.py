@@ -8,7 +8,7 @@ from hybrid.methods import DEFAULT_METHOD, check_method
 
 METHOD_VARIANTS = {
     "aleman-flores": ("2014", "2016"),
-    "hybrid": ("start", "prior", "snapped", "edges", "parallels", "full"),
+    "hybrid": ("start", "prior", "snapped", "edges", "followed", "parallels", "full"),
 }
 _INTERPOLATIONS = ("linear", "cubic", "lanczos")
 

@@ -51,6 +51,7 @@ class HybridConfig:
     Attributes:
         snaps: Curves of the heatmap lie on the picture's sub-pixel edges, not on its centre lines.
         adds_edges: Edges that the heatmap does not mark are curves too.
+        follows: Lines are followed beyond the ends of their curves.
         believes: LaRecNet's lens is a belief beside a start.
         field_doubt: By how much the standard deviation of LaRecNet's field of view is widened
             before it is believed: a network does worse on real pictures than on those it was
@@ -67,6 +68,7 @@ class HybridConfig:
 
     snaps: bool = True
     adds_edges: bool = True
+    follows: bool = True
     believes: bool = True
     field_doubt: float = 4.0
     lens_doubt: float = 8.0
@@ -75,17 +77,19 @@ class HybridConfig:
     has_vanishing: bool = True
 
 
-_BENDS_ALONE = HybridConfig(has_parallels=False, has_vanishing=False)
+_EDGES = HybridConfig(follows=False, has_parallels=False, has_vanishing=False)
 VARIANTS = {
-    "start": replace(_BENDS_ALONE, snaps=False, adds_edges=False, believes=False),
-    "prior": replace(_BENDS_ALONE, snaps=False, adds_edges=False),
-    "snapped": replace(_BENDS_ALONE, adds_edges=False),
-    "edges": _BENDS_ALONE,
+    "start": replace(_EDGES, snaps=False, adds_edges=False, believes=False),
+    "prior": replace(_EDGES, snaps=False, adds_edges=False),
+    "snapped": replace(_EDGES, adds_edges=False),
+    "edges": _EDGES,
+    "followed": replace(_EDGES, follows=True),
     "parallels": HybridConfig(has_vanishing=False),
     "full": HybridConfig(),
 }
 """Each has one thing more than the one before: a fit from the network's start, its belief,
-sub-pixel edges, edges of the picture's own, directions of lines, vanishing points."""
+sub-pixel edges, edges of the picture's own, lines followed further, directions of lines, vanishing
+points."""
 
 
 class HybridEstimator:
@@ -130,7 +134,7 @@ class HybridEstimator:
             observations=observations,
             starts=starts,
             rims=[find_rim(picture) for picture in pictures],
-            pictures=pictures,
+            pictures=pictures if cfg.follows else (),
         )
         return replace(estimate_from_fit(fit), heatmaps=heatmaps)
 

@@ -37,8 +37,8 @@ class BendConfig:
 
     orders: int = 4
     reference: float = 100.0
-    shortest: float = 100.0
-    growth: float = 0.5
+    shortest: float = 80.0
+    growth: float = 0.6
     decay: float = 1.3
     deviation_range: tuple[float, float] = (0.1, 1.0)
 
