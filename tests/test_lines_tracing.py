@@ -7,6 +7,8 @@ import numpy as np
 import pytest
 
 from classical.camera import KannalaBrandt
+from classical.fit import fit_lens
+from classical.fit.quality import disagreement
 from classical.lines import Curve, TracingConfig, join_curves, trace_further
 
 WIDTH, HEIGHT = 640, 480
@@ -133,3 +135,45 @@ def test_a_line_of_hints_is_a_hint() -> None:
     assert [curve.is_hinted for curve in join_curves([left, right], LENS)] == [True]
     seen = replace(right, is_hinted=False)
     assert [curve.is_hinted for curve in join_curves([left, seen], LENS)] == [False]
+
+
+def middles_of_lines(count: int, seed: int) -> tuple[np.ndarray, list[Curve]]:
+    """A curved chessboard whose lines are known by a fifth of their length, a little off."""
+    rng = np.random.default_rng(seed)
+    v, u = np.mgrid[0:HEIGHT, 0:WIDTH].astype(float)
+    rays, _ = LENS.unproject(np.stack([u.ravel(), v.ravel()], axis=1))
+    parity, curves = np.ones(u.shape), []
+    for _ in range(count):
+        normal = rng.normal(size=3) * [1.0, 1.0, 0.6]
+        normal /= np.linalg.norm(normal)
+        across = (rays @ normal).reshape(u.shape)
+        du, dv = np.gradient(across)
+        parity *= 2 * np.clip(across / np.hypot(du, dv), -0.5, 0.5)
+        axis = np.array([0.0, 0.0, 1.0]) - normal[2] * normal
+        axis /= np.linalg.norm(axis)
+        angle = np.linspace(-0.15, 0.15, 40)[:, None]
+        points, _ = LENS.project(np.cos(angle) * axis + np.sin(angle) * np.cross(normal, axis))
+        inside = ((points > 5) & (points < [WIDTH - 6, HEIGHT - 6])).all(axis=1)
+        if inside.all():
+            noisy = points + rng.normal(0, 0.3, points.shape)
+            curves.append(Curve(noisy, 0.3, 0.6))
+    image = cv2.GaussianBlur(125 + 65 * parity, (0, 0), 0.7)
+    return np.clip(image + rng.normal(0, 1.5, image.shape), 0, 255).astype(np.uint8), curves
+
+
+def test_a_fit_that_sees_the_picture_knows_the_lens_better() -> None:
+    image, curves = middles_of_lines(14, 5)
+    assert len(curves) >= 8
+    blind, seeing = (
+        fit_lens([curves], WIDTH, HEIGHT, pictures=pictures) for pictures in ([], [image])
+    )
+    blind_px, seeing_px = (disagreement(fit.camera, LENS) for fit in (blind, seeing))
+    assert seeing_px < 0.5 * blind_px
+    lengths = [sum(np.ptp(each.points, axis=0).max() for each in fit.curves[0]) for fit in (blind, seeing)]
+    assert lengths[1] > 1.5 * lengths[0]
+
+
+def test_a_fit_wants_one_picture_for_each_set_of_curves() -> None:
+    image, curves = middles_of_lines(14, 5)
+    with pytest.raises(ValueError, match="Expected a picture for each of 2 sets of curves, got 1"):
+        fit_lens([curves, curves], WIDTH, HEIGHT, pictures=[image])

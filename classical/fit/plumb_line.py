@@ -71,7 +71,14 @@ def fit_lens(
         The fit. Straight lines stay straight when the rectified plane is scaled, so the scale
         comes from what was observed, from orthogonal vanishing points where a scene has them, or
         else from the prior.
+
+    Raises:
+        ValueError: If pictures are given, but not one for each set of curves.
     """
+    if pictures and len(pictures) != len(curve_sets):
+        raise ValueError(
+            f"Expected a picture for each of {len(curve_sets)} sets of curves, got {len(pictures)}."
+        )
     with _CONTROLLER.limit(limits=1, user_api="blas"):
         known = _known(circles, observations, width)
         rim = np.concatenate([np.zeros((0, 2)), *rims])
