@@ -167,9 +167,13 @@ def test_a_fit_that_sees_the_picture_knows_the_lens_better() -> None:
     blind, seeing = (
         fit_lens([curves], WIDTH, HEIGHT, pictures=pictures) for pictures in ([], [image])
     )
-    blind_px, seeing_px = (disagreement(fit.camera, LENS) for fit in (blind, seeing))
+    assert blind.camera is not None
+    assert seeing.camera is not None
+    blind_px, seeing_px = disagreement(blind.camera, LENS), disagreement(seeing.camera, LENS)
     assert seeing_px < 0.5 * blind_px
-    lengths = [sum(np.ptp(each.points, axis=0).max() for each in fit.curves[0]) for fit in (blind, seeing)]
+    lengths = [
+        sum(np.ptp(each.points, axis=0).max() for each in fit.curves[0]) for fit in (blind, seeing)
+    ]
     assert lengths[1] > 1.5 * lengths[0]
 
 

@@ -125,10 +125,12 @@ def _fit(
     ]
     best = _best(samples, starts, known, config)
     best, joined = _joined(best, curve_sets, known, config)
-    candidate = _candidate(best, curve_sets, joined, known, config)
     if pictures and config.tracings:
-        best, joined = _followed(best, candidate.camera, joined, pictures, known, config)
-        candidate = _candidate(best, joined, joined, known, config)
+        lens = _candidate(best, curve_sets, joined, known, config).camera
+        best, joined = _followed(best, lens, joined, pictures, known, config)
+        curve_sets = joined
+    best = _with_parallels(best, joined, known, config)
+    candidate = _candidate(best, curve_sets, joined, known, config)
     if config.vanishing is not None:
         candidate = with_scale(candidate, joined, config)
     return to_rim(candidate, rim), joined
@@ -137,12 +139,12 @@ def _fit(
 def _joined(
     best: Settled, curve_sets: Sequence[Sequence[Curve]], known: Known, config: FitConfig
 ) -> tuple[Settled, Sequence[Sequence[Curve]]]:
-    """Settle again with pieces of one line joined, then with directions of lines."""
+    """Settle again with pieces of one line joined."""
     joined = curve_sets
     for _ in range(config.joinings):
         joined = [join_curves(list(curves), best.camera) for curves in curve_sets]
         best = _best(config.samples(joined, best.camera.width), [best.camera], known, config.last)
-    return _with_parallels(best, joined, known, config), joined
+    return best, joined
 
 
 def _followed(
@@ -168,7 +170,7 @@ def _followed(
         samples = config.samples(curve_sets, candidate.width)
         best = _best(samples, starts, known, config if len(starts) > 1 else config.last)
         starts = [best.camera]
-    return _with_parallels(best, curve_sets, known, config), curve_sets
+    return best, curve_sets
 
 
 def _candidate(

@@ -11,12 +11,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from jaxtyping import Float, Int, UInt8
+from jaxtyping import Bool, Float, Int, UInt8
 
 from classical.camera import KannalaBrandt
 from classical.lines.arcs import contrast_of_strength
 from classical.lines.curve import REFERENCE_WIDTH, Curve
-from classical.lines.great_circles import describe_curves
+from classical.lines.great_circles import CirclePieces, describe_curves
 from classical.lines.snap import SnapConfig, SnappedPoints, snap_to_edges
 from classical.lines.working import grey_picture, working_picture
 
@@ -31,6 +31,8 @@ class TracingConfig:
 
     Attributes:
         shortest: Shorter curves do not say well enough where they go on.
+        probe: So far every curve is looked beyond; those that find something there are looked
+            beyond further.
         share: A curve grows at either end by at most this share of its angle.
         reach: Edges are sought this far beside the great circle, pixels of a picture up to 960
             wide.
@@ -42,6 +44,7 @@ class TracingConfig:
     """
 
     shortest: float = 20.0
+    probe: float = 40.0
     share: float = 1.0
     reach: float = 1.75
     least_contrast: float = 0.8
@@ -71,47 +74,50 @@ def trace_further(
     Returns:
         The curves in the same order; those that found nothing as they came.
     """
-    width = camera.width
-    shortest = config.shortest * width / REFERENCE_WIDTH
+    shortest = config.shortest * camera.width / REFERENCE_WIDTH
     long = [k for k, c in enumerate(curves) if c.length >= shortest and c.strength > 0]
-    paths, offsets, owner, at_end = _paths([curves[k] for k in long], camera, config)
-    if not len(owner):
-        return list(curves)
+    pieces, _ = describe_curves([curves[k] for k in long], camera)
+    owner = np.array([long[group[0]] for group in pieces.members], np.int64)
     grey, scale = working_picture(grey_picture(image), 0, config.max_size)
-    reach = config.reach * max(grey.shape[1] / _SHARP_WIDTH, 1.0)
-    at = (paths + 0.5) * scale - 0.5
-    snapped = snap_to_edges(grey, at, offsets, reach=reach, config=config.snapping)
-    own = np.array([contrast_of_strength(curves[long[k]].strength) for k in owner])
-    grown = _while_found(snapped, config.least_contrast * own, config)
-    points = (snapped.points + 0.5) / scale - 0.5
+    own = np.array([contrast_of_strength(curves[k].strength) for k in owner])
+    probe = config.probe * camera.width / REFERENCE_WIDTH / pieces.length
+    goes_on = np.ones((len(owner), 2), bool)
     out = list(curves)
-    for path in np.flatnonzero(np.add.reduceat(grown, snapped.offsets[:-1], dtype=np.int64)):
+    # most lines end where their curves do: a short look first
+    for share in (np.minimum(probe, config.share), np.full(len(owner), config.share)):
+        paths, offsets = _paths(pieces, camera, share, goes_on, config)
+        number, side = np.nonzero(goes_on)
+        if not len(number):
+            return out
+        reach = config.reach * max(grey.shape[1] / _SHARP_WIDTH, 1.0)
+        at = (paths + 0.5) * scale - 0.5
+        snapped = snap_to_edges(grey, at, offsets, reach=reach, config=config.snapping)
+        grown = _while_found(snapped, config.least_contrast * own[number], config)
+        goes_on[number, side] = np.add.reduceat(grown, snapped.offsets[:-1], dtype=np.int64) > 0
+    points = (snapped.points + 0.5) / scale - 0.5
+    for path, (piece, end) in enumerate(zip(number, side, strict=True)):
         part = slice(snapped.offsets[path], snapped.offsets[path + 1])
         further = points[part][grown[part]]
-        k = long[owner[path]]
-        ends = (out[k].points, further) if at_end[path] else (further[::-1], out[k].points)
-        out[k] = replace(out[k], points=np.concatenate(ends))
+        k = int(owner[piece])
+        ends = (out[k].points, further) if end else (further[::-1], out[k].points)
+        out[k] = replace(out[k], points=np.concatenate(ends)) if len(further) else out[k]
     return out
 
 
 def _paths(
-    curves: list[Curve], camera: KannalaBrandt, config: TracingConfig
-) -> tuple[
-    Float[np.ndarray, "m 2"],
-    Int[np.ndarray, " p1"],
-    Int[np.ndarray, " p"],
-    Int[np.ndarray, " p"],
-]:
-    """Where curves go on: points, offsets of the paths, the curve of each, 1 beyond its last point.
+    pieces: CirclePieces,
+    camera: KannalaBrandt,
+    share: Float[np.ndarray, " p"],
+    goes_on: Bool[np.ndarray, "p 2"],
+    config: TracingConfig,
+) -> tuple[Float[np.ndarray, "m 2"], Int[np.ndarray, " q1"]]:
+    """Where curves go on beyond their first and last point: points, and offsets of the paths.
 
-    A path ends where the camera sees no further or the picture does.
+    A path ends where the camera sees no further or the picture does; `goes_on` becomes False where
+    that leaves none.
     """
-    found, _ = describe_curves(curves, camera)
-    if not len(found.members):
-        none = np.empty(0, np.int64)
-        return np.empty((0, 2)), np.zeros(1, np.int64), none, none
-    normals = found.normals[:, None]
-    ends = camera.unproject(found.ends.reshape(-1, 2))[0].reshape(-1, 2, 3)
+    normals = pieces.normals[:, None]
+    ends = camera.unproject(pieces.ends.reshape(-1, 2))[0].reshape(-1, 2, 3)
     ends -= (ends * normals).sum(axis=-1, keepdims=True) * normals
     ends /= np.linalg.norm(ends, axis=-1, keepdims=True)
     chord = ends[:, 1:] - ends[:, :1]
@@ -119,9 +125,9 @@ def _paths(
     outward = np.cross(normals, ends)
     away = (outward * chord).sum(axis=-1) * [-1, 1]
     outward *= np.where(away < 0, -1.0, 1.0)[..., None]
-    angle = config.share * span * np.linspace(0, 1, _PATH_POINTS + 1)[1:]
-    angle = angle[:, None, :, None]
-    rays = np.cos(angle) * ends[:, :, None] + np.sin(angle) * outward[:, :, None]
+    angle = share[:, None] * span * np.linspace(0, 1, _PATH_POINTS + 1)[1:]
+    angle = np.repeat(angle[:, None], 2, axis=1)[goes_on][..., None]
+    rays = np.cos(angle) * ends[goes_on][:, None] + np.sin(angle) * outward[goes_on][:, None]
     pixels, seen = camera.project(rays.reshape(-1, 3))
     inside = seen & (pixels >= _FRAME).all(axis=1)
     inside &= (pixels <= np.array([camera.width, camera.height]) - 1 - _FRAME).all(axis=1)
@@ -131,15 +137,9 @@ def _paths(
     length = np.linalg.norm(pixels[np.arange(len(last)), last] - pixels[:, 0], axis=1)
     least = config.window * config.snapping.spacing * camera.width / REFERENCE_WIDTH
     used = (last >= 3) & (np.where(last >= 3, length, 0) >= least)
-    inside &= used[:, None]
+    goes_on[goes_on] = used
     counts = inside.sum(axis=1)[used]
-    owner = np.array([group[0] for group in found.members])
-    return (
-        pixels[inside],
-        np.concatenate([[0], np.cumsum(counts)]),
-        np.repeat(owner, 2)[used],
-        np.tile([0, 1], len(owner))[used],
-    )
+    return pixels[inside & used[:, None]], np.concatenate([[0], np.cumsum(counts)])
 
 
 def _while_found(
