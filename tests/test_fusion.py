@@ -12,6 +12,7 @@ from small_networks import SMALL
 
 from classical.camera import KannalaBrandt
 from classical.fit import Observation, fit_lens, of_belief, of_belief_field
+from classical.lines import curves_from_image
 from eval.metrics import aligned_error
 from hybrid import Rectifier, RectifyConfig, read_picture
 from hybrid.config import METHOD_VARIANTS
@@ -82,6 +83,21 @@ def test_a_turned_picture_has_the_same_lens(hybrid, found, room, turn):
 def test_each_variant_finds_a_lens(room, truth, variant):
     camera = Rectifier(RectifyConfig(method="hybrid", variant=variant)).calibrate([room]).camera
     assert error(camera, truth) < 6.0
+
+
+def test_both_methods_follow_lines_in_the_picture(room):
+    def length(found):
+        return sum(np.ptp(curve.points, axis=0).max() for curve in found.curves[0])
+
+    edges, followed = (
+        Rectifier(RectifyConfig(method="hybrid", variant=variant)).calibrate([room])
+        for variant in ("edges", "followed")
+    )
+    assert length(followed) > 1.005 * length(edges)
+    height, width = room.shape[:2]
+    blind = fit_lens([curves_from_image(room)], width, height)
+    seeing = Rectifier(RectifyConfig(method="classical")).calibrate([room])
+    assert length(seeing) > 1.005 * length(blind)
 
 
 def test_variants_of_the_configuration_are_those_that_exist():
