@@ -16,6 +16,7 @@ if TYPE_CHECKING:
 _PACK = click.Path(exists=True, dir_okay=False, path_type=Path)
 _SCENES = (0.45, 0.35, 0.2, 0.0)
 _WILD = 0.8
+_FISHEYE = 0.0
 _STRAIGHT = 0.0
 
 _MIXTURE = {
@@ -34,6 +35,13 @@ _MIXTURE = {
         show_default=True,
         type=click.FloatRange(0, 1),
         help="Share of the prior `wild` in boxes and panoramas.",
+    ),
+    "fisheye": click.option(
+        "--fisheye",
+        default=_FISHEYE,
+        show_default=True,
+        type=click.FloatRange(0, 1),
+        help="Share of these that have lenses of some 180°, the prior `fisheye`.",
     ),
     "straight": click.option(
         "--straight",
@@ -116,6 +124,7 @@ def train(
     samples: Path | None,
     scenes: tuple[float, float, float, float],
     wild: float,
+    fisheye: float,
     straight: float,
     rate: float | None,
     fall: float | None,
@@ -156,7 +165,9 @@ def train(
         size=size,
         ahead=ahead,
         samples=samples,
-        data=StreamCfg(scenes=scenes, wild_share=wild, straight_share=straight),
+        data=StreamCfg(
+            scenes=scenes, wild_share=wild, fisheye_share=fisheye, straight_share=straight
+        ),
         init=init,
         run=RunCfg(
             steps=steps,
@@ -200,6 +211,7 @@ def assess(
     pack: Path | None,
     scenes: tuple[float, float, float, float],
     wild: float,
+    fisheye: float,
     straight: float,
     samples: int,
     out: Path | None,
@@ -208,14 +220,14 @@ def assess(
     """Score a LaRecNet as its model card does: a file, or the name of weights that ship.
 
     The samples are the same for all weights: planes with lenses of the prior `paper`, clean, and
-    the default mixture of `train` with camera effects. --scenes, --wild and --straight say what
-    the training was made of and matter to --data alone.
+    the default mixture of `train` with camera effects. --scenes, --wild, --fisheye and --straight
+    say what the training was made of and matter to --data alone.
     """
     _check_output(weights, out, overwrite)
     given = {context.get_parameter_source(name) for name in _MIXTURE}
     if pack is None and ParameterSource.COMMANDLINE in given:
         raise click.UsageError(
-            "--scenes, --wild and --straight need --data, the pack of the training"
+            "--scenes, --wild, --fisheye and --straight need --data, the pack of the training"
         )
     from learned import assess as assessment
     from learned.larecnet import LaRecNet
@@ -229,7 +241,9 @@ def assess(
     if pack is not None and not network.cfg.calibration.covariance:
         raise click.UsageError(f"--data is for weights that predict a spread; {weights} do not")
     if pack is not None:
-        mixture = StreamCfg(scenes=scenes, wild_share=wild, straight_share=straight)
+        mixture = StreamCfg(
+            scenes=scenes, wild_share=wild, fisheye_share=fisheye, straight_share=straight
+        )
         batches = assessment.temperature_batches(pack, network.cfg.frame, mixture)
         total = assessment.TEMPERATURE_BATCHES
         assessment.fit_temperature(network, _shown("temperature", batches, total))

@@ -195,6 +195,7 @@ def training_card(job: JobCfg) -> dict[str, Any]:
         "data": f"synthesised from {job.pack.name}",
         "scenes": str(job.data.scenes),
         "wild share": job.data.wild_share,
+        "fisheye share": job.data.fisheye_share,
         "straight share": job.data.straight_share,
         "seed": job.seed,
         "steps": job.steps,

@@ -37,14 +37,14 @@ def test_monotone_limit_is_where_the_slope_vanishes():
     assert float(monotone_limit(LENSES[2:])) == pytest.approx(np.sqrt(1.5), abs=1e-3)
 
 
-@pytest.mark.parametrize("name", ["paper", "wild"])
+@pytest.mark.parametrize("name", ["paper", "wild", "fisheye"])
 def test_lenses_of_a_prior_rise_up_to_theta_max(name):
     lenses = lens_prior(name).sample(np.random.default_rng(3), 400)
     theta = lenses.theta_max[:, None] * np.linspace(0, 0.995, 200)
     assert lens_shape.slope(theta, lenses.vector[:, :5]).min() > 0
 
 
-@pytest.mark.parametrize("name", ["paper", "wild"])
+@pytest.mark.parametrize("name", ["paper", "wild", "fisheye"])
 def test_prior_gives_the_same_lenses_for_the_same_generator(name):
     first, second = (lens_prior(name).sample(np.random.default_rng(5), 9) for _ in range(2))
     np.testing.assert_array_equal(first.vector, second.vector)
@@ -58,7 +58,14 @@ def test_wild_prior_reaches_past_180_degrees_and_paper_stays_narrow():
     assert np.degrees(edge).max() < 52.1
 
 
-@pytest.mark.parametrize("name", ["paper", "wild"])
+def test_fisheyes_are_wide_and_mostly_cut_above_and_below():
+    lenses = lens_prior("fisheye").sample(np.random.default_rng(1), 400)
+    assert np.quantile(np.degrees(lenses.theta_max), 0.05) > 70
+    cut = (lenses.circle > lenses.half_height) & np.isfinite(lenses.circle)
+    assert cut.mean() > 0.4
+
+
+@pytest.mark.parametrize("name", ["paper", "wild", "fisheye"])
 def test_log_density_prefers_own_lenses(name):
     prior = lens_prior(name)
     own = prior.sample(np.random.default_rng(2), 64).vector

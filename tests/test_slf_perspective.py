@@ -37,3 +37,16 @@ def test_a_block_has_its_share_of_them_and_keeps_its_other_lenses():
         kept = (before.vector == after.vector).all(axis=1)
         assert (bends(after)[~kept] < 0.06).all()
         assert kept.mean() > 0.5
+
+
+def test_a_share_of_fisheyes_changes_wild_lenses_alone():
+    scenes = (0.25, 0.25, 0.25, 0.25)
+    without = [lens_block(3, i, scenes, 0.8, 0.25) for i in range(8)]
+    with_ = [lens_block(3, i, scenes, 0.8, 0.25, 0.5) for i in range(8)]
+    kept = []
+    for (scene, before), (same_scene, after) in zip(without, with_, strict=True):
+        np.testing.assert_array_equal(scene, same_scene)
+        kept.append((before.vector == after.vector).all(axis=1))
+        assert kept[-1][scene == 0].all()  # planes take no wild lens
+    share = 1 - np.concatenate(kept).mean()  # 3/4 no planes, 4/5 wild, 3/4 not straight, half
+    assert 0.15 < share < 0.3

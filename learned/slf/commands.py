@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from learned.slf.synthesis import Made, SetCfg
 
 _LENSES_A_PHOTOGRAPH = 8  # as the paper bent each
+_PRIORS = ("paper", "wild", "fisheye")
 _EXISTING_FOLDER = click.Path(exists=True, file_okay=False, path_type=Path)
 
 
@@ -50,7 +51,7 @@ def _set_options(
     ]
 
     if prior is not None:
-        named = click.Choice(["paper", "wild"])
+        named = click.Choice(_PRIORS)
         options.append(click.option("--prior", default=prior, show_default=True, type=named))
 
     def add(command: Callable[..., Any]) -> Callable[..., Any]:
@@ -142,7 +143,7 @@ def panoramas(folder: Path, **options: Any) -> None:
     "--prior",
     default="equisolid",
     show_default=True,
-    type=click.Choice(["equisolid", "paper", "wild"]),
+    type=click.Choice(["equisolid", *_PRIORS]),
     help="Equisolid is the paper's single lens.",
 )
 @_blender_options
@@ -334,7 +335,7 @@ def testset(
 
 
 @synthesize.command("prior")
-@click.argument("name", type=click.Choice(["paper", "wild"]))
+@click.argument("name", type=click.Choice(_PRIORS))
 @click.option("--out", required=True, type=click.Path(path_type=Path), help="PNG to write.")
 @click.option("--count", default=4000, show_default=True, type=click.IntRange(10))
 @click.option("--seed", default=1, show_default=True)

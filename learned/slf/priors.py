@@ -1,6 +1,6 @@
-"""Named distributions of lenses: `paper` and `wild`.
+"""Named distributions of lenses: `paper`, `wild` and `fisheye`.
 
-Both are drawn from a NumPy generator and have a log density over the camera vector, which a fit can
+All are drawn from a NumPy generator and have a log density over the camera vector, which a fit can
 use as its prior. Lengths are half image widths throughout (gauge m_u = 1).
 
 * `paper` follows the published D-Wireframe samples: centred, square pixels, k1 between 1.0 and 1.8,
@@ -8,6 +8,8 @@ use as its prior. Lengths are half image widths throughout (gauge m_u = 1).
 * `wild` covers real wide lenses from 90° to over 180°: a mixture fitted to calibrated lenses
   (`fit_wild_prior.py`) and the four standard projections with perturbation, on full, letterboxed,
   full-circle and drum frames, with jitter of principal point and aspect.
+* `fisheye` is the wide end of it: lenses of some 180° as in security, parking and robot cameras,
+  whose circle the sensor mostly cuts above and below, and diagonal fisheyes without a circle.
 """
 
 import json
@@ -60,7 +62,11 @@ def lens_prior(name: str) -> LensPrior:
     Raises:
         ValueError: If there is none of that name.
     """
-    known: dict[str, Callable[[], LensPrior]] = {"paper": PaperPrior, "wild": WildPrior}
+    known: dict[str, Callable[[], LensPrior]] = {
+        "paper": PaperPrior,
+        "wild": WildPrior,
+        "fisheye": fisheye_prior,
+    }
     if name not in known:
         raise ValueError(f"expected a lens prior among {sorted(known)}, got {name!r}")
     return known[name]()
@@ -193,6 +199,18 @@ STANDARD_FRAMES = (
 )
 """Weight, frame, mean and standard deviation of Θ in radians."""
 
+FISHEYE_FRAMES = (
+    (0.22, Frame((0.75, 1.25), True, 0.75), (1.62, 0.12)),
+    (0.14, Frame((0.7, 1.2), True, 2 / 3), (1.62, 0.12)),
+    (0.16, Frame((0.65, 1.2), True, 0.5625), (1.62, 0.12)),
+    (0.1, Frame((0.7, 1.0), True, 1.0), (1.62, 0.12)),
+    (0.1, Frame((1.0, 1.4), True, 1.0), (1.62, 0.12)),
+    (0.12, _full(1.0), (1.5, 0.15)),
+    (0.08, _letterbox(4 / 3), (1.5, 0.15)),
+    (0.08, _letterbox(16 / 9), (1.5, 0.15)),
+)
+"""The same for the prior `fisheye`."""
+
 PROJECTIONS: dict[str, Callable[[ndarray], ndarray]] = {
     "equidistant": lambda theta: theta,
     "equisolid": lambda theta: 2.0 * np.sin(theta / 2.0),
@@ -208,6 +226,7 @@ class WildPrior:
     Attributes:
         name: "wild".
         fitted_share: Weight of the mixture fitted to calibrated lenses.
+        standard_frames: Frames and fields of the standard projections.
         projection_weights: Weights of the standard projections, in the order of `PROJECTIONS`.
         bend_sigma: Standard deviations of the perturbation a q² + b q⁴ of l(q), q = θ / Θ.
         field: Smallest and largest Θ in radians.
@@ -220,6 +239,7 @@ class WildPrior:
 
     name: str = "wild"
     fitted_share: float = 0.42
+    standard_frames: tuple[tuple[float, Frame, tuple[float, float]], ...] = STANDARD_FRAMES
     projection_weights: tuple[float, ...] = (0.35, 0.3, 0.15, 0.2)
     bend_sigma: tuple[float, float] = (0.05, 0.03)
     field: tuple[float, float] = (np.radians(42.0), np.radians(112.0))
@@ -255,10 +275,11 @@ class WildPrior:
 
     def _frames(self) -> list[tuple[float, Frame, tuple[float, float] | None]]:
         rest = 1.0 - self.fitted_share
-        return [
+        every = [
             *((self.fitted_share * weight, frame, None) for weight, frame in FITTED_FRAMES),
-            *((rest * weight, frame, field) for weight, frame, field in STANDARD_FRAMES),
+            *((rest * weight, frame, field) for weight, frame, field in self.standard_frames),
         ]
+        return [(weight, frame, field) for weight, frame, field in every if weight > 0]
 
     def _candidates(self, rng: np.random.Generator, n: int) -> LensBatch:
         frames = self._frames()
@@ -344,6 +365,13 @@ class WildPrior:
             np.log(1 - self.wide_share) + _log_gauss(value, 0.0, narrow),
             np.log(self.wide_share) + _log_gauss(value, 0.0, wide),
         )
+
+
+def fisheye_prior() -> WildPrior:
+    """Standard projections of about 180°, their centres as loose as those of cheap cameras."""
+    return WildPrior(
+        name="fisheye", fitted_share=0.0, standard_frames=FISHEYE_FRAMES, centre_factor=2.0
+    )
 
 
 def _accepted(candidates: Callable[[int], LensBatch], n: int) -> LensBatch:

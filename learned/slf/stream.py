@@ -42,6 +42,7 @@ class StreamCfg:
             cuts of panoramas of rendered rooms; a scene without pictures in the atlas is left out.
         wild_share: Weight of the `wild` prior in boxes and panoramas, the rest is `paper`. Planes
             always take `paper`: a flat photograph cannot fill a wider lens.
+        fisheye_share: Share of the `wild` lenses that are of the prior `fisheye`.
         straight_share: Share of all scenes that are taken by lenses that bend next to nothing.
         shortest_px: Bent lines shorter than this are not drawn.
         photometry: What a real camera does to the picture, or None for clean pictures.
@@ -57,6 +58,7 @@ class StreamCfg:
 
     scenes: tuple[float, float, float, float] = (0.45, 0.35, 0.2, 0.0)
     wild_share: float = 0.8
+    fisheye_share: float = 0.0
     straight_share: float = 0.0
     shortest_px: float = 12.0
     photometry: PhotometryCfg | None = field(default_factory=PhotometryCfg)
@@ -181,7 +183,8 @@ class SlfStream:
         weights = self._weights()
         blocks = range(first // _BLOCK, (last - 1) // _BLOCK + 1)
         share = tuple((weights / weights.sum()).tolist())
-        lens_shares = (self.config.wild_share, self.config.straight_share)
+        cfg = self.config
+        lens_shares = (cfg.wild_share, cfg.straight_share, cfg.fisheye_share)
         drawn = [lens_block(self.seed, i, share, *lens_shares) for i in blocks]
         scene = np.concatenate([part for part, _ in drawn])
         lenses = concatenated([part for _, part in drawn])
@@ -234,6 +237,7 @@ def lens_block(
     scenes: tuple[float, ...],
     wild_share: float,
     straight_share: float = 0.0,
+    fisheye_share: float = 0.0,
 ) -> tuple[np.ndarray, LensBatch]:
     """Scene and lens of a block of samples, from the seed and the number of the block."""
     rng = np.random.default_rng([seed, 0, block])
@@ -243,6 +247,9 @@ def lens_block(
     straight = rng.random(_BLOCK) < straight_share
     drawn.append(perspective_lenses(rng, _BLOCK))
     source = np.where(straight, 2, wild)
+    if fisheye_share:  # drawn last: without it a block is what it was before there were any
+        drawn.append(lens_prior("fisheye").sample(rng, _BLOCK))
+        source = np.where((source == 1) & (rng.random(_BLOCK) < fisheye_share), 3, source)
     return scene, concatenated(drawn)[np.arange(_BLOCK) + _BLOCK * source]
 
 
