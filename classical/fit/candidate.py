@@ -61,10 +61,7 @@ def unless_straight(
     straight = _perspective(best.camera, joined, known, config)
     own = [[curve for curve in curves if not curve.is_hinted] for curves in curve_sets]
     if not straight.is_allowed and 0 < sum(map(len, own)) < sum(map(len, curve_sets)):
-        alone = [join_curves(curves, best.camera) for curves in own]
-        alone_straight = _perspective(best.camera, alone, known, config)
-        if alone_straight.is_allowed and alone_straight.is_proven:
-            straight = alone_straight
+        straight = _own_if_straight(best.camera, own, known, config) or straight
     best = replace(best, perspective=straight)
     if not straight.is_allowed:
         return best
@@ -77,6 +74,18 @@ def unless_straight(
     note = STRAIGHT if straight.is_proven else _PERHAPS_STRAIGHT
     error = disagreement(camera, best.camera) / TAIL  # at most what the bend would move
     return Candidate(camera, covariance, best.scale_source, note, error, straight)
+
+
+def _own_if_straight(
+    camera: KannalaBrandt, own: Sequence[Sequence[Curve]], known: Known, config: FitConfig
+) -> Perspective | None:
+    """What the picture's own curves say, joined, where they speak for a perspective lens."""
+    # joined they only tell a bend better: pieces that tell one need not be
+    if not _perspective(camera, own, known, config).is_allowed:
+        return None
+    alone = [join_curves(curves, camera) for curves in own]
+    said = _perspective(camera, alone, known, config)
+    return said if said.is_allowed and said.is_proven else None
 
 
 def is_open(found: Candidate, config: FitConfig) -> bool:

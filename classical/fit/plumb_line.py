@@ -142,7 +142,7 @@ def _joined(
     """Settle again with pieces of one line joined."""
     joined = curve_sets
     for _ in range(config.joinings):
-        joined = [join_curves(list(curves), best.camera) for curves in curve_sets]
+        joined = [join_curves(curves, best.camera) for curves in curve_sets]
         best = _best(config.samples(joined, best.camera.width), [best.camera], known, config.last)
     return best, joined
 

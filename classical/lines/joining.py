@@ -7,6 +7,7 @@ every corner, are joined to whole lines.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -43,7 +44,7 @@ class JoinConfig:
 
 
 def join_curves(
-    curves: list[Curve],
+    curves: Sequence[Curve],
     camera: KannalaBrandt | Division | Pinhole,
     *,
     config: JoinConfig = JoinConfig(),

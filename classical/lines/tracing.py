@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int, UInt8
@@ -81,11 +82,12 @@ def trace_further(
     grey, scale = working_picture(grey_picture(image), 0, config.max_size)
     own = np.array([contrast_of_strength(curves[k].strength) for k in owner])
     probe = config.probe * camera.width / REFERENCE_WIDTH / pieces.length
+    ends = _ends(pieces, camera)
     goes_on = np.ones((len(owner), 2), bool)
     out = list(curves)
     # most lines end where their curves do: a short look first
     for share in (np.minimum(probe, config.share), np.full(len(owner), config.share)):
-        paths, offsets = _paths(pieces, camera, share, goes_on, config)
+        paths, offsets = _paths(ends, camera, share, goes_on, config)
         number, side = np.nonzero(goes_on)
         if not len(number):
             return out
@@ -99,13 +101,40 @@ def trace_further(
         part = slice(snapped.offsets[path], snapped.offsets[path + 1])
         further = points[part][grown[part]]
         k = int(owner[piece])
-        ends = (out[k].points, further) if end else (further[::-1], out[k].points)
-        out[k] = replace(out[k], points=np.concatenate(ends)) if len(further) else out[k]
+        parts = (out[k].points, further) if end else (further[::-1], out[k].points)
+        out[k] = replace(out[k], points=np.concatenate(parts)) if len(further) else out[k]
     return out
 
 
+class _Ends(NamedTuple):
+    """Both ends of each piece on its circle, and where the circle goes on.
+
+    Attributes:
+        rays: Unit rays of the first and the last point, shape (p, 2, 3).
+        outward: Unit tangents of the circle there, away from the piece, shape (p, 2, 3).
+        span: Angle from end to end, shape (p, 1).
+    """
+
+    rays: Float[np.ndarray, "p 2 3"]
+    outward: Float[np.ndarray, "p 2 3"]
+    span: Float[np.ndarray, "p 1"]
+
+
+def _ends(pieces: CirclePieces, camera: KannalaBrandt) -> _Ends:
+    normals = pieces.normals[:, None]
+    ends = camera.unproject(pieces.ends.reshape(-1, 2))[0].reshape(-1, 2, 3)
+    ends -= (ends * normals).sum(axis=-1, keepdims=True) * normals
+    ends /= np.linalg.norm(ends, axis=-1, keepdims=True)
+    chord = ends[:, 1:] - ends[:, :1]
+    span = 2 * np.arcsin(np.clip(np.linalg.norm(chord, axis=-1) / 2, 0, 1))
+    outward = np.cross(normals, ends)
+    away = (outward * chord).sum(axis=-1) * [-1, 1]
+    outward *= np.where(away < 0, -1.0, 1.0)[..., None]
+    return _Ends(ends, outward, span)
+
+
 def _paths(
-    pieces: CirclePieces,
+    ends: _Ends,
     camera: KannalaBrandt,
     share: Float[np.ndarray, " p"],
     goes_on: Bool[np.ndarray, "p 2"],
@@ -116,18 +145,10 @@ def _paths(
     A path ends where the camera sees no further or the picture does; `goes_on` becomes False where
     that leaves none.
     """
-    normals = pieces.normals[:, None]
-    ends = camera.unproject(pieces.ends.reshape(-1, 2))[0].reshape(-1, 2, 3)
-    ends -= (ends * normals).sum(axis=-1, keepdims=True) * normals
-    ends /= np.linalg.norm(ends, axis=-1, keepdims=True)
-    chord = ends[:, 1:] - ends[:, :1]
-    span = 2 * np.arcsin(np.clip(np.linalg.norm(chord, axis=-1) / 2, 0, 1))
-    outward = np.cross(normals, ends)
-    away = (outward * chord).sum(axis=-1) * [-1, 1]
-    outward *= np.where(away < 0, -1.0, 1.0)[..., None]
-    angle = share[:, None] * span * np.linspace(0, 1, _PATH_POINTS + 1)[1:]
+    angle = share[:, None] * ends.span * np.linspace(0, 1, _PATH_POINTS + 1)[1:]
     angle = np.repeat(angle[:, None], 2, axis=1)[goes_on][..., None]
-    rays = np.cos(angle) * ends[goes_on][:, None] + np.sin(angle) * outward[goes_on][:, None]
+    along, outward = ends.rays[goes_on][:, None], ends.outward[goes_on][:, None]
+    rays = np.cos(angle) * along + np.sin(angle) * outward
     pixels, seen = camera.project(rays.reshape(-1, 3))
     inside = seen & (pixels >= _FRAME).all(axis=1)
     inside &= (pixels <= np.array([camera.width, camera.height]) - 1 - _FRAME).all(axis=1)
