@@ -17,14 +17,12 @@ from jaxtyping import Float, UInt8
 from numpy import ndarray
 
 from classical.fit import (
+    Estimate,
     FitConfig,
     LensPrior,
-    Observation,
     ParallelsConfig,
     VanishingConfig,
     fit_lens,
-    of_belief,
-    of_belief_field,
 )
 from classical.lines import (
     Curve,
@@ -56,9 +54,13 @@ class HybridConfig:
         field_doubt: By how much the standard deviation of LaRecNet's field of view is widened
             before it is believed: a network does worse on real pictures than on those it was
             trained on …
-        lens_doubt: … and worst in the shape of the lens, so those of the lens as a whole are
-            widened by more. Weights for pictures like their training set alone say themselves how
-            far their lens is to be doubted: their card has a "doubt".
+        lens_doubts: … and worst in the shape of the lens, so those of the lens as a whole are
+            widened by more, the second of these, but for a lens under which the curves are as
+            straight as they can be: that is believed with the first, and by all that it says.
+            Weights for pictures like their training set alone say themselves how far their lens
+            is to be doubted: their card has a "doubt".
+        doubt_unit: Log likelihood that the curves lose under LaRecNet's lens at which it is
+            doubted √2 times as much as at first.
         centring: Deviation of the principal points of real lenses in half picture widths, below
             which LaRecNet is not believed: it trained on lenses, too, that are centred exactly,
             and takes clean pictures to be of one.
@@ -71,7 +73,8 @@ class HybridConfig:
     follows: bool = True
     believes: bool = True
     field_doubt: float = 4.0
-    lens_doubt: float = 8.0
+    lens_doubts: tuple[float, float] = (2.0, 8.0)
+    doubt_unit: float = 2.0
     centring: float = 0.0125
     has_parallels: bool = True
     has_vanishing: bool = True
@@ -117,11 +120,10 @@ class HybridEstimator:
             belief = network_belief([lens.result() for lens in lenses])
         heatmaps = tuple(each.result() for each in heat)
         observations = given_by_user(self._config, circles, width)
+        estimate = self._believed(belief) if belief is not None and cfg.believes else None
         starts = []
-        if belief is not None:
+        if belief is not None and not cfg.believes:
             starts.append(belief.decode(np.zeros(8), width, height))
-            if cfg.believes:
-                observations += self._believed(belief)
         fit = fit_lens(
             curves,
             width,
@@ -132,23 +134,26 @@ class HybridEstimator:
             ),
             circles=circles,
             observations=observations,
+            estimate=estimate,
             starts=starts,
             rims=[find_rim(picture) for picture in pictures],
             pictures=pictures if cfg.follows else (),
         )
         return replace(estimate_from_fit(fit), heatmaps=heatmaps)
 
-    def _believed(self, belief: LensPrior) -> list[Observation]:
-        """What the fit takes from LaRecNet's lens; see `HybridConfig`."""
-        doubt = self._predictor.card.get("doubt")
+    def _believed(self, belief: LensPrior) -> Estimate:
+        """LaRecNet's lens, and how far to believe it; see `HybridConfig`."""
+        doubt, cfg = self._predictor.card.get("doubt"), self._hybrid
         if doubt is not None:
-            return [of_belief(belief, _NETWORK, doubt=float(doubt))]
-        return [
-            of_belief_field(belief, _NETWORK, doubt=self._hybrid.field_doubt),
-            of_belief(
-                belief, _NETWORK, doubt=self._hybrid.lens_doubt, centring=self._hybrid.centring
-            ),
-        ]
+            return Estimate(belief, _NETWORK, (float(doubt), float(doubt)))
+        return Estimate(
+            belief,
+            _NETWORK,
+            cfg.lens_doubts,
+            field_doubt=cfg.field_doubt,
+            unit=cfg.doubt_unit,
+            centring=cfg.centring,
+        )
 
     def _lineness(self, picture: UInt8[ndarray, "h w 3"]) -> Float[ndarray, "hh ww"]:
         return self._predictor.lines(picture).lineness

@@ -7,15 +7,24 @@ import pytest
 
 from classical.camera import KannalaBrandt
 from classical.camera.ray_field import ray_field
-from classical.fit import FitConfig, LensPrior, fit_lens, generic_prior, of_belief
+from classical.fit import (
+    Estimate,
+    FitConfig,
+    LensPrior,
+    fit_lens,
+    generic_prior,
+    of_belief,
+    of_belief_field,
+)
 from classical.fit.candidate import UNTOLD, Candidate, is_better_alone, is_open
 from classical.fit.perspective import Perspective, bend_of
-from classical.fit.prior import generic_surprise
+from classical.fit.prior import FREE, generic_surprise
 from classical.fit.quality import predicted_error
 from classical.fit.samples import CurveSamples, sample_curves
 from classical.fit.search import family_field, projection
 from classical.fit.solve import solve
 from classical.fit.straightness import straightness
+from classical.fit.vanishing import rescaled
 from classical.lines import Curve
 
 WIDTH, HEIGHT = 640, 480
@@ -434,3 +443,45 @@ def test_a_weak_bend_is_not_called_straight() -> None:
     assert fit.camera is not None
     assert "straight already" not in fit.reason
     assert aligned_error(fit.camera, truth) < 0.5
+
+
+def test_an_estimate_is_doubted_as_far_as_the_curves_lose_under_it() -> None:
+    belief = LensPrior(LENS.to_vector(), generic_prior(0.75, WIDTH, HEIGHT).covariance)
+    estimate = Estimate(belief, "a network", (2.0, 8.0), field_doubt=4.0, unit=2.0)
+    for loss, doubt in (
+        (-1.0, 2.0),
+        (0.0, 2.0),
+        (6.0, 4.0),
+        (16.0, 6.0),
+        (1e3, 8.0),
+        (np.inf, 8.0),
+    ):
+        field, whole = estimate.observations(loss)
+        free = belief.covariance[np.ix_(FREE, FREE)]
+        np.testing.assert_allclose(whole.covariance, doubt**2 * free)
+        np.testing.assert_allclose(field.covariance, min(doubt, 4.0) ** 2 * field_of(belief))
+    assert len(replace(estimate, field_doubt=None).observations()) == 1
+
+
+def field_of(belief: LensPrior) -> np.ndarray:
+    return of_belief_field(belief, "a network").covariance
+
+
+def test_curves_decide_how_far_an_estimate_counts_in_what_they_do_not_tell() -> None:
+    """Straight lines leave the scale open: there an estimate counts that leaves them straight."""
+    rng = np.random.default_rng(3)
+    curves = line_pictures(LENS, 40, rng, noise=0.3)
+    spread = 0.001 * generic_prior(0.75, WIDTH, HEIGHT).covariance
+
+    def fitted(lens: KannalaBrandt, doubts: tuple[float, float]) -> KannalaBrandt:
+        estimate = Estimate(LensPrior(lens.to_vector(), spread), "a network", doubts, unit=2.0)
+        fit = fit_lens([curves], WIDTH, HEIGHT, estimate=estimate, config=FitConfig(vanishing=None))
+        assert fit.camera is not None
+        return fit.camera
+
+    wider = rescaled(LENS, 0.8)
+    believed, doubted = (fitted(wider, doubts).k[0] for doubts in ((2.0, 8.0), (8.0, 8.0)))
+    assert abs(believed - wider.k[0]) < 0.5 * abs(doubted - wider.k[0])
+    bent = replace(wider, k=wider.k * np.array([1.0, -2.0, 1.0, 1.0, 1.0]))
+    anyhow, doubted = (fitted(bent, doubts) for doubts in ((2.0, 8.0), (8.0, 8.0)))
+    np.testing.assert_array_equal(anyhow.to_vector(), doubted.to_vector())

@@ -11,7 +11,7 @@ import torch
 from small_networks import SMALL
 
 from classical.camera import KannalaBrandt
-from classical.fit import Observation, fit_lens, of_belief, of_belief_field
+from classical.fit import Estimate, fit_lens, of_belief, of_belief_field
 from classical.lines import curves_from_image
 from eval.metrics import aligned_error
 from hybrid import Rectifier, RectifyConfig, read_picture
@@ -153,28 +153,28 @@ def test_weights_with_a_doubt_speak_of_the_lens_and_others_of_its_field_more_sur
     torch.manual_seed(0)
     path = tmp_path / "small.safetensors"
     save_weights(path, LaRecNet(SMALL), {} if doubt is None else {"doubt": doubt})
-    seen: list[Observation] = []
+    heard: list[Estimate] = []
 
-    def listen(*arguments, observations, **options):
-        seen.extend(observations)
-        return fit_lens(*arguments, observations=observations, **options)
+    def listen(*arguments, estimate, **options):
+        heard.append(estimate)
+        return fit_lens(*arguments, estimate=estimate, **options)
 
     monkeypatch.setattr("hybrid.fusion.fit_lens", listen)
     picture = np.random.default_rng(0).integers(0, 255, (96, 128, 3), dtype=np.uint8)
     Rectifier(RectifyConfig(method="hybrid", weights=str(path))).calibrate([picture])
     belief = network_belief([Predictor.from_weights(path).lens(picture)])
     assert belief is not None
-    heard = [each for each in seen if each.source == "network"]
     cfg, lens = HybridConfig(), of_belief(belief, "network")
     # k1..k5, m_v, u0, v0: lenses are not centred better than so, whatever the network says
     slack = np.diag([0.0] * 6 + [(cfg.centring * 64) ** 2] * 2)
     field = of_belief_field(belief, "network")
     unsure = [
         (field, cfg.field_doubt**2 * field.covariance),
-        (lens, cfg.lens_doubt**2 * lens.covariance + slack),
+        (lens, cfg.lens_doubts[1] ** 2 * lens.covariance + slack),
     ]
     told = unsure if doubt is None else [(lens, doubt**2 * lens.covariance)]
-    for one, (other, covariance) in zip(heard, told, strict=True):
+    for one, (other, covariance) in zip(heard[0].observations(), told, strict=True):
+        assert one.source == "network"
         np.testing.assert_array_equal(one.matrix, other.matrix)
         np.testing.assert_allclose(one.value, other.value)
         np.testing.assert_allclose(one.covariance, covariance)

@@ -11,20 +11,16 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import NamedTuple
 
-import numpy as np
-from jaxtyping import Float
-
 from classical.camera import KannalaBrandt
-from classical.fit.bends import BendConfig, Bends
+from classical.fit.bends import BendConfig
+from classical.fit.likelihood import curve_costs
 from classical.fit.quality import disagreement
-from classical.fit.rounds import Known, curve_shares
+from classical.fit.rounds import Known
 from classical.fit.samples import CurveSamples
 from classical.fit.search import projection
-from classical.fit.straightness import straightness
 
 _FISHEYE = 0.9  # of an equidistant lens to compare with: 127° across
 _STRENGTH = 2.0  # focal length in half widths, 53° across: straight lines do not tell it
-_LOSS_SCALE = 2.0  # deviations beyond which a bow loses weight (Cauchy)
 
 
 @dataclass(frozen=True)
@@ -91,17 +87,8 @@ def compared_with_perspective(
     """
     width, height = camera.width, camera.height
     straight = perspective_lens(width, height)
-    bends = Bends.of(samples, width, bend)
-    kept = straightness(camera, samples).residuals
-    deviation = bends.deviation(kept, curve_shares(samples, kept, tolerance))
-    flat, bent, fisheye = (
-        _cost(bends.bows(residuals) / deviation)
-        for residuals in (
-            straightness(straight, samples).residuals,
-            kept,
-            straightness(projection(_FISHEYE, 0.0, width, height), samples).residuals,
-        )
-    )
+    others = [straight, projection(_FISHEYE, 0.0, width, height)]
+    bent, flat, fisheye = curve_costs(camera, others, samples, tolerance=tolerance, bend=bend)
     gain = flat - bent + known.sure_cost(straight) - known.sure_cost(camera)
     moved = bend_of(camera)
     slight = gain * moved < config.least_proof  # False where they have nothing in common
@@ -123,8 +110,3 @@ def perspective_lens(width: int, height: int) -> KannalaBrandt:
 def bend_of(camera: KannalaBrandt) -> float:
     """How far a lens moves its picture from a perspective one, pixels of a 320 frame; or NaN."""
     return disagreement(camera, perspective_lens(camera.width, camera.height))
-
-
-def _cost(bows: Float[np.ndarray, " curves"]) -> float:
-    """Negative log likelihood of bows in standard deviations, robust as in the solver."""
-    return float(0.5 * (_LOSS_SCALE**2 * np.log1p((bows / _LOSS_SCALE) ** 2)).sum())

@@ -23,7 +23,9 @@ from classical.fit.candidate import (
     with_scale,
 )
 from classical.fit.config import FitConfig
+from classical.fit.estimate import Estimate
 from classical.fit.fitted import fitted_curves
+from classical.fit.likelihood import curve_costs
 from classical.fit.observations import Observation, of_circles
 from classical.fit.parallels import ParallelsConfig
 from classical.fit.quality import judge, predicted_error
@@ -48,6 +50,7 @@ def fit_lens(
     config: FitConfig = FitConfig(),
     circles: Sequence[ImageCircle | None] = (),
     observations: Sequence[Observation] = (),
+    estimate: Estimate | None = None,
     starts: Sequence[KannalaBrandt] = (),
     rims: Sequence[Float[np.ndarray, "_ 2"]] = (),
     pictures: Sequence[UInt8[np.ndarray, "..."]] = (),
@@ -62,6 +65,8 @@ def fit_lens(
         circles: The image circle of each picture, None where it shows none.
         observations: What else is known of the lens; see `classical.fit.observations`. What holds
             for lenses in general (`generic_prior`) is always believed.
+        estimate: Another estimate of the lens, which is believed as far as the curves agree with
+            it, and begun with.
         starts: Lenses to begin with beside those of the global search.
         rims: The outermost pixels that each picture shows (`find_rim`), which the lens reaches.
         pictures: The pictures themselves, in which lines are followed beyond the ends of their
@@ -80,7 +85,9 @@ def fit_lens(
             f"Expected a picture for each of {len(curve_sets)} sets of curves, got {len(pictures)}."
         )
     with _CONTROLLER.limit(limits=1, user_api="blas"):
-        known = _known(circles, observations, width)
+        known = replace(_known(circles, observations, width), estimate=estimate)
+        if estimate is not None:
+            starts = [*starts, estimate.lens(width, height)]
         rim = np.concatenate([np.zeros((0, 2)), *rims])
         fit = partial(_fit, curve_sets, pictures, width, height, config=config, rim=rim)
         best, joined = fit(known=known, starts=starts)
@@ -125,6 +132,7 @@ def _fit(
     ]
     best = _best(samples, starts, known, config)
     best, joined = _joined(best, curve_sets, known, config)
+    known = _weighed(best, joined, known, config)
     if pictures and config.tracings:
         lens = _candidate(best, curve_sets, joined, known, config).camera
         best, joined = _followed(best, lens, joined, pictures, known, config)
@@ -145,6 +153,23 @@ def _joined(
         joined = [join_curves(curves, best.camera) for curves in curve_sets]
         best = _best(config.samples(joined, best.camera.width), [best.camera], known, config.last)
     return best, joined
+
+
+def _weighed(
+    best: Settled, curve_sets: Sequence[Sequence[Curve]], known: Known, config: FitConfig
+) -> Known:
+    """The estimate believed as far as the curves agree with it."""
+    if known.estimate is None:
+        return known
+    width, height = best.camera.width, best.camera.height
+    fitted, estimated = curve_costs(
+        best.camera,
+        [known.estimate.lens(width, height)],
+        config.samples(curve_sets, width),
+        tolerance=config.tolerance(width),
+        bend=config.bend,
+    )
+    return replace(known, loss=estimated - fitted)
 
 
 def _followed(

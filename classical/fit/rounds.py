@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -12,6 +13,7 @@ from scipy.sparse import csc_array
 
 from classical.camera import KannalaBrandt
 from classical.fit.bends import BendConfig, Bends
+from classical.fit.estimate import Estimate
 from classical.fit.observations import Observation, observed
 from classical.fit.parallels import Parallels, ParallelsConfig, find_parallels
 from classical.fit.prior import LensPrior, generic_prior
@@ -27,21 +29,31 @@ class Known:
     Attributes:
         observations: Of the lens.
         has_free_aspect: Whether the pixels are clearly not square.
+        estimate: Another estimate of the lens …
+        loss: … and what log likelihood the curves lose under it; see `Estimate.observations`.
     """
 
     observations: Sequence[Observation] = ()
     has_free_aspect: bool = False
+    estimate: Estimate | None = None
+    loss: float = math.inf
+
+    @property
+    def every(self) -> list[Observation]:
+        """The observations, and those of the estimate."""
+        told = [] if self.estimate is None else self.estimate.observations(self.loss)
+        return [*self.observations, *told]
 
     @property
     def has_estimate(self) -> bool:
         """Whether another estimate of the lens is among them."""
-        return not all(observation.is_sure for observation in self.observations)
+        return not all(observation.is_sure for observation in self.every)
 
     @property
     def without_estimates(self) -> Known:
         """What is sure alone."""
         sure = [observation for observation in self.observations if observation.is_sure]
-        return replace(self, observations=sure)
+        return replace(self, observations=sure, estimate=None)
 
     def belief(self, camera: KannalaBrandt) -> LensPrior:
         """The prior near a camera, sharpened by all that was observed."""
@@ -51,7 +63,7 @@ class Known:
             camera.height,
             has_free_aspect=self.has_free_aspect,
         )
-        for observation in self.observations:
+        for observation in self.every:
             prior = observed(prior, observation.near(camera))
         return prior
 

@@ -57,7 +57,7 @@ def scale_source(settled: Settled, known: Known) -> str:
     """What told the most about the scale of a fit, before vanishing points are asked."""
     tangent = scale_tangent(settled.camera)
     best, most = "prior", LOG_STRENGTH_DEVIATION**-2
-    for observation in known.observations:
+    for observation in known.every:
         told = observation.near(settled.camera).precision_along(tangent)
         if told > most:
             best, most = observation.source, told
