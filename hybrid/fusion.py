@@ -55,12 +55,10 @@ class HybridConfig:
             before it is believed: a network does worse on real pictures than on those it was
             trained on …
         lens_doubts: … and worst in the shape of the lens, so those of the lens as a whole are
-            widened by more, the second of these, but for a lens under which the curves are as
-            straight as they can be: that is believed with the first, and by all that it says.
-            Weights for pictures like their training set alone say themselves how far their lens
-            is to be doubted: their card has a "doubt".
-        doubt_unit: Log likelihood that the curves lose under LaRecNet's lens at which it is
-            doubted √2 times as much as at first.
+            widened by more: by the first of these where the curves are as straight under it as
+            they can be, by the second at most; see `Estimate`. Weights for pictures like their
+            training set alone say themselves how far to doubt them: their card has a "doubt".
+        doubt_unit: `Estimate.unit`.
         centring: Deviation of the principal points of real lenses in half picture widths, below
             which LaRecNet is not believed: it trained on lenses, too, that are centred exactly,
             and takes clean pictures to be of one.

@@ -12,6 +12,7 @@ from tqdm import tqdm
 
 if TYPE_CHECKING:
     from learned.slf.batch import SlfBatch
+    from learned.slf.stream import StreamCfg
 
 _PACK = click.Path(exists=True, dir_okay=False, path_type=Path)
 _SCENES = (0.45, 0.35, 0.2, 0.0)
@@ -58,6 +59,15 @@ def mixture_options(command: Callable[..., Any]) -> Callable[..., Any]:
     for option in reversed(_MIXTURE.values()):
         command = option(command)
     return command
+
+
+def _stream(
+    scenes: tuple[float, float, float, float], wild: float, fisheye: float, straight: float
+) -> StreamCfg:
+    """What `mixture_options` say, as the stream wants it."""
+    from learned.slf.stream import StreamCfg
+
+    return StreamCfg(scenes=scenes, wild_share=wild, fisheye_share=fisheye, straight_share=straight)
 
 
 @click.command()
@@ -147,7 +157,6 @@ def train(
     from learned.jobs import JobCfg, run_job
     from learned.presets import ablation as ablated
     from learned.presets import preset
-    from learned.slf.stream import StreamCfg
     from learned.train import RunCfg
 
     if threads is not None:
@@ -165,9 +174,7 @@ def train(
         size=size,
         ahead=ahead,
         samples=samples,
-        data=StreamCfg(
-            scenes=scenes, wild_share=wild, fisheye_share=fisheye, straight_share=straight
-        ),
+        data=_stream(scenes, wild, fisheye, straight),
         init=init,
         run=RunCfg(
             steps=steps,
@@ -231,7 +238,6 @@ def assess(
         )
     from learned import assess as assessment
     from learned.larecnet import LaRecNet
-    from learned.slf.stream import StreamCfg
     from learned.weights import load_weights, located
 
     if samples < 1 or samples % assessment.BATCH:
@@ -241,9 +247,7 @@ def assess(
     if pack is not None and not network.cfg.calibration.covariance:
         raise click.UsageError(f"--data is for weights that predict a spread; {weights} do not")
     if pack is not None:
-        mixture = StreamCfg(
-            scenes=scenes, wild_share=wild, fisheye_share=fisheye, straight_share=straight
-        )
+        mixture = _stream(scenes, wild, fisheye, straight)
         batches = assessment.temperature_batches(pack, network.cfg.frame, mixture)
         total = assessment.TEMPERATURE_BATCHES
         assessment.fit_temperature(network, _shown("temperature", batches, total))

@@ -477,6 +477,7 @@ def test_curves_decide_how_far_an_estimate_counts_in_what_they_do_not_tell() -> 
         estimate = Estimate(LensPrior(lens.to_vector(), spread), "a network", doubts, unit=2.0)
         fit = fit_lens([curves], WIDTH, HEIGHT, estimate=estimate, config=FitConfig(vanishing=None))
         assert fit.camera is not None
+        assert fit.scale_source == "a network"
         return fit.camera
 
     wider = rescaled(LENS, 0.8)

@@ -173,6 +173,10 @@ def test_weights_with_a_doubt_speak_of_the_lens_and_others_of_its_field_more_sur
         (lens, cfg.lens_doubts[1] ** 2 * lens.covariance + slack),
     ]
     told = unsure if doubt is None else [(lens, doubt**2 * lens.covariance)]
+    least = cfg.lens_doubts[0] if doubt is None else doubt
+    agreed = heard[0].observations(0.0)
+    np.testing.assert_allclose(agreed[-1].covariance[0, 0], least**2 * lens.covariance[0, 0])
+    assert doubt is not None or heard[0].unit == cfg.doubt_unit
     for one, (other, covariance) in zip(heard[0].observations(), told, strict=True):
         assert one.source == "network"
         np.testing.assert_array_equal(one.matrix, other.matrix)

@@ -1,9 +1,11 @@
+import click
 import numpy as np
 import pytest
 import torch
 
 from learned.polynomial import monotone_limit, radius, theta_from_radius
 from learned.slf import lens_shape
+from learned.slf.commands import show_prior
 from learned.slf.priors import lens_prior
 
 LENSES = torch.tensor([[1.2, -0.1, 0.01, 0.0, 0.0], [0.6, 0.02, -0.01, 0, 0], [1.8, -0.4, 0, 0, 0]])
@@ -88,6 +90,14 @@ def test_log_density_does_not_depend_on_the_gauge():
 def test_unknown_prior_is_misuse():
     with pytest.raises(ValueError, match="paper"):
         lens_prior("tame")
+
+
+def test_the_command_line_offers_every_prior():
+    with pytest.raises(ValueError, match="lens prior") as refused:
+        lens_prior("tame")
+    offered = show_prior.params[0].type
+    assert isinstance(offered, click.Choice)
+    assert str(sorted(offered.choices)) in str(refused.value)
 
 
 def test_shapes_inverts_coefficients():
