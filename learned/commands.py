@@ -19,6 +19,8 @@ _SCENES = (0.45, 0.35, 0.2, 0.0)
 _WILD = 0.8
 _FISHEYE = 0.0
 _STRAIGHT = 0.0
+_BOARDS = 0.0
+_GREY = 0.0
 
 _MIXTURE = {
     "scenes": click.option(
@@ -51,6 +53,20 @@ _MIXTURE = {
         type=click.FloatRange(0, 1),
         help="Share of pictures taken by lenses that bend next to nothing.",
     ),
+    "boards": click.option(
+        "--boards",
+        default=_BOARDS,
+        show_default=True,
+        type=click.FloatRange(0, 1),
+        help="Share of boxes and panoramas with a flat board held before the lens.",
+    ),
+    "grey": click.option(
+        "--grey",
+        default=_GREY,
+        show_default=True,
+        type=click.FloatRange(0, 1),
+        help="Share of pictures without colour.",
+    ),
 }
 
 
@@ -62,12 +78,24 @@ def mixture_options(command: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def _stream(
-    scenes: tuple[float, float, float, float], wild: float, fisheye: float, straight: float
+    scenes: tuple[float, float, float, float],
+    wild: float,
+    fisheye: float,
+    straight: float,
+    boards: float,
+    grey: float,
 ) -> StreamCfg:
     """What `mixture_options` say, as the stream wants it."""
     from learned.slf.stream import StreamCfg
 
-    return StreamCfg(scenes=scenes, wild_share=wild, fisheye_share=fisheye, straight_share=straight)
+    return StreamCfg(
+        scenes=scenes,
+        wild_share=wild,
+        fisheye_share=fisheye,
+        straight_share=straight,
+        board_share=boards,
+        grey_share=grey,
+    )
 
 
 @click.command()
@@ -136,6 +164,8 @@ def train(
     wild: float,
     fisheye: float,
     straight: float,
+    boards: float,
+    grey: float,
     rate: float | None,
     fall: float | None,
     resume: bool,
@@ -174,7 +204,7 @@ def train(
         size=size,
         ahead=ahead,
         samples=samples,
-        data=_stream(scenes, wild, fisheye, straight),
+        data=_stream(scenes, wild, fisheye, straight, boards, grey),
         init=init,
         run=RunCfg(
             steps=steps,
@@ -220,6 +250,8 @@ def assess(
     wild: float,
     fisheye: float,
     straight: float,
+    boards: float,
+    grey: float,
     samples: int,
     out: Path | None,
     overwrite: bool,
@@ -227,14 +259,14 @@ def assess(
     """Score a LaRecNet as its model card does: a file, or the name of weights that ship.
 
     The samples are the same for all weights: planes with lenses of the prior `paper`, clean, and
-    the default mixture of `train` with camera effects. --scenes, --wild, --fisheye and --straight
-    say what the training was made of and matter to --data alone.
+    the default mixture of `train` with camera effects. --scenes and the other shares say what the
+    training was made of and matter to --data alone.
     """
     _check_output(weights, out, overwrite)
     given = {context.get_parameter_source(name) for name in _MIXTURE}
     if pack is None and ParameterSource.COMMANDLINE in given:
         raise click.UsageError(
-            "--scenes, --wild, --fisheye and --straight need --data, the pack of the training"
+            f"{', '.join(f'--{name}' for name in _MIXTURE)} need --data, the pack of the training"
         )
     from learned import assess as assessment
     from learned.larecnet import LaRecNet
@@ -247,7 +279,7 @@ def assess(
     if pack is not None and not network.cfg.calibration.covariance:
         raise click.UsageError(f"--data is for weights that predict a spread; {weights} do not")
     if pack is not None:
-        mixture = _stream(scenes, wild, fisheye, straight)
+        mixture = _stream(scenes, wild, fisheye, straight, boards, grey)
         batches = assessment.temperature_batches(pack, network.cfg.frame, mixture)
         total = assessment.TEMPERATURE_BATCHES
         assessment.fit_temperature(network, _shown("temperature", batches, total))

@@ -15,8 +15,8 @@ from torch import Tensor
 
 from classical.files import atomic_path
 
-PHOTOGRAPH, PATTERN, PANORAMA, ROOM = range(4)
-"""Kinds of pictures: photographs, drawn patterns, panoramas, panoramas of rendered rooms."""
+PHOTOGRAPH, PATTERN, PANORAMA, ROOM, BOARD = range(5)
+"""Kinds: photographs, drawn patterns, panoramas, panoramas of rendered rooms, drawn boards."""
 
 LEVELS = 4
 """Mip levels stored per picture: full size, then halves."""
@@ -35,7 +35,7 @@ class Atlas:
         extent: Width and height of each level in texels, shape (p, LEVELS, 2).
         segments: Straight segments (u1, v1, u2, v2) in pixels of level 0, shape (s, 4).
         first: Row of `segments` where each picture's own begin, shape (p + 1,).
-        kind: `PHOTOGRAPH`, `PATTERN`, `PANORAMA` or `ROOM`; shape (p,).
+        kind: `PHOTOGRAPH`, `PATTERN`, `PANORAMA`, `ROOM` or `BOARD`; shape (p,).
     """
 
     texels: Int[Tensor, " t"]

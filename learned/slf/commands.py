@@ -261,14 +261,22 @@ def _catalogue_names(folder: Path, cc0: bool) -> list[str]:
 @click.option(
     "--patterns", default=400, show_default=True, type=click.IntRange(0), help="Drawn textures."
 )
+@click.option(
+    "--boards",
+    default=0,
+    show_default=True,
+    type=click.IntRange(0),
+    help="Drawn calibration targets and posters, for `train --boards`.",
+)
 @click.option("--out", required=True, type=click.Path(path_type=Path), help="File to write.")
-@click.option("--seed", default=1, show_default=True, help="Of the drawn textures.")
+@click.option("--seed", default=1, show_default=True, help="Of what is drawn.")
 @click.option("--workers", default=2, show_default=True, type=click.IntRange(1))
 def pack(
     photos: Path | None,
     folder: Path | None,
     rooms: Path | None,
     patterns: int,
+    boards: int,
     out: Path,
     seed: int,
     workers: int,
@@ -279,11 +287,13 @@ def pack(
     from learned.slf.atlas import PANORAMA, ROOM, save_atlas
     from learned.slf.pack import annotated_photographs, build_atlas, picture_paths
     from learned.slf.panorama_lines import annotated_panorama
-    from learned.slf.patterns import draw_patterns
+    from learned.slf.patterns import draw_patterns, draw_targets
     from learned.slf.wireframes import with_annotations
 
-    if photos is None and folder is None and rooms is None and patterns == 0:
-        raise click.UsageError("expected --photos, --panoramas, --rooms or --patterns, got none")
+    if photos is None and folder is None and rooms is None and patterns == boards == 0:
+        raise click.UsageError(
+            "expected --photos, --panoramas, --rooms, --patterns or --boards, got none"
+        )
     flat = _checked(picture_paths, photos) if photos else []
     round_ = [
         (path, kind)
@@ -300,6 +310,7 @@ def pack(
                 yield annotated_panorama(path, kind=kind)
                 bar.update()
             yield from draw_patterns(patterns, seed=seed)
+            yield from draw_targets(boards, seed=seed)
 
         save_atlas(_checked(build_atlas, pictures()), out)
 

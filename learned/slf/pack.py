@@ -24,7 +24,7 @@ class Annotated:
     Attributes:
         image: RGB bytes.
         segments: (u1, v1, u2, v2) in pixels.
-        kind: `PHOTOGRAPH`, `PATTERN`, `PANORAMA` or `ROOM` of `learned.slf.atlas`.
+        kind: One of the kinds of `learned.slf.atlas`.
     """
 
     image: UInt8[ndarray, "h w 3"]

@@ -1,7 +1,8 @@
 """Drawn textures whose lines are known exactly: tiles, bricks, windows, shelves, planks, panels.
 
-On a wall or a floor their lines run along the room's axes, so that a scene of `boxes` has the
-vanishing points that photographs on walls contradict.
+And what is on `boards`: calibration targets and print. On a wall or a floor their lines run along
+the room's axes, so that a scene of `boxes` has the vanishing points that photographs on walls
+contradict.
 """
 
 from collections.abc import Callable, Iterator
@@ -11,7 +12,7 @@ import numpy as np
 from jaxtyping import UInt8
 from numpy import ndarray
 
-from learned.slf.atlas import PATTERN
+from learned.slf.atlas import BOARD, PATTERN
 from learned.slf.pack import Annotated
 
 _SIZES = ((384, 512), (448, 448), (512, 384), (320, 640))
@@ -31,12 +32,32 @@ def draw_patterns(count: int, *, seed: int) -> Iterator[Annotated]:
         height, width = _SIZES[int(rng.integers(len(_SIZES)))]
         draw = _KINDS[index % len(_KINDS)]
         canvas = _plaster(rng, height, width)
-        lines = draw(rng, canvas)
-        image = _worn(rng, canvas)
-        segments = np.array(lines, np.float32).reshape(-1, 4)
-        length = np.hypot(segments[:, 2] - segments[:, 0], segments[:, 3] - segments[:, 1])
-        order = np.argsort(-length, kind="stable")[:_MOST_SEGMENTS]
-        yield Annotated(image, segments[order], PATTERN)
+        yield _annotated(rng, canvas, draw(rng, canvas), PATTERN)
+
+
+def draw_targets(count: int, *, seed: int) -> Iterator[Annotated]:
+    """Draw pictures for `boards`, all kinds in turn.
+
+    Args:
+        count: Number of pictures.
+        seed: Seed of all of them.
+    """
+    for index in range(count):
+        rng = np.random.default_rng([seed, 22, index])
+        draw = _TARGETS[index % len(_TARGETS)]
+        height, width = _SIZES[int(rng.integers(len(_SIZES)))]
+        paper = rng.uniform(170, 250) + rng.normal(0, 6, 3)
+        canvas = np.broadcast_to(paper, (height, width, 3)).copy()
+        yield _annotated(rng, canvas, draw(rng, canvas), BOARD)
+
+
+def _annotated(rng: np.random.Generator, canvas: ndarray, lines: Lines, kind: int) -> Annotated:
+    """A canvas as a picture of a pack, with the longest of its lines."""
+    image = _worn(rng, canvas)
+    segments = np.array(lines, np.float32).reshape(-1, 4)
+    length = np.hypot(segments[:, 2] - segments[:, 0], segments[:, 3] - segments[:, 1])
+    order = np.argsort(-length, kind="stable")[:_MOST_SEGMENTS]
+    return Annotated(image, segments[order], kind)
 
 
 def _colour(rng: np.random.Generator, low: float = 30.0, high: float = 235.0) -> ndarray:
@@ -268,6 +289,96 @@ def _sky(rng: np.random.Generator, canvas: ndarray) -> Lines:
     canvas[:] = blue + cloud[..., None] * (np.array([235, 238, 242]) - blue)
     return []
 
+
+def _grid(rng: np.random.Generator, canvas: ndarray) -> tuple[ndarray, ndarray]:
+    """Columns and rows where the squares of a target begin and end, a margin around."""
+    height, width = canvas.shape[:2]
+    side = int(min(height, width) / rng.uniform(5, 11))
+    margin = int(side * rng.uniform(0.0, 1.2))
+    columns, rows = (width - 2 * margin) // side, (height - 2 * margin) // side
+    left, top = (width - columns * side) // 2, (height - rows * side) // 2
+    return left + side * np.arange(columns + 1), top + side * np.arange(rows + 1)
+
+
+def _squares(
+    rng: np.random.Generator, canvas: ndarray
+) -> Iterator[tuple[int, int, int, int, bool]]:
+    """Cells of a grid as (left, top, right, bottom) and whether they are the dark ones."""
+    columns, rows = _grid(rng, canvas)
+    for i, (top, bottom) in enumerate(pairwise(rows.tolist())):
+        for j, (left, right) in enumerate(pairwise(columns.tolist())):
+            yield left, top, right, bottom, (i + j) % 2 == 0
+
+
+def _chequers(rng: np.random.Generator, canvas: ndarray) -> Lines:
+    """A chequerboard."""
+    ink = rng.uniform(5, 60) + rng.normal(0, 3, 3)
+    cells = list(_squares(rng, canvas))
+    for left, top, right, bottom, dark in cells:
+        if dark:
+            canvas[top:bottom, left:right] = ink
+    left, top = cells[0][:2]
+    right, bottom = cells[-1][2:4]
+    upright = {x for cell in cells for x in (cell[0], cell[2])}
+    level = {y for cell in cells for y in (cell[1], cell[3])}
+    lines = [(x - 0.5, top - 0.5, x - 0.5, bottom - 0.5) for x in sorted(upright)]
+    return lines + [(left - 0.5, y - 0.5, right - 0.5, y - 0.5) for y in sorted(level)]
+
+
+def _dots(rng: np.random.Generator, canvas: ndarray) -> Lines:
+    """A grid of discs, which has no lines of its own."""
+    ink, size = rng.uniform(5, 80), rng.uniform(0.25, 0.45)
+    y, x = np.mgrid[0 : canvas.shape[0], 0 : canvas.shape[1]]
+    for left, top, right, bottom, _ in _squares(rng, canvas):
+        middle_x, middle_y = (left + right - 1) / 2, (top + bottom - 1) / 2
+        canvas[np.hypot(x - middle_x, y - middle_y) < size * (right - left)] = ink
+    return []
+
+
+def _tags(rng: np.random.Generator, canvas: ndarray) -> Lines:
+    """A grid of coded squares."""
+    ink = rng.uniform(5, 60)
+    lines: Lines = []
+    for left, top, right, _, _ in _squares(rng, canvas):
+        gap, bits = (right - left) // 8, 6
+        edge = (right - left - 2 * gap) // bits * bits
+        box = (left + gap, top + gap, left + gap + edge, top + gap + edge)
+        lines += _fill(canvas, box, np.full(3, ink))
+        code = np.kron(rng.random((bits - 2, bits - 2)) < 0.5, np.ones([edge // bits] * 2))
+        inner = canvas[box[1] + edge // bits :, box[0] + edge // bits :]
+        inner[: code.shape[0], : code.shape[1]][code > 0] = canvas[0, 0]
+    return lines
+
+
+def _print(rng: np.random.Generator, canvas: ndarray) -> Lines:
+    """A poster: rows of words, a picture or two."""
+    height, width = canvas.shape[:2]
+    ink, row = _colour(rng, 5.0, 90.0), int(rng.integers(10, 30))
+    if rng.random() < 0.5:
+        canvas[:] = _colour(rng)
+    at = row
+    while at < height - 2 * row:
+        left = row
+        while left < width - 3 * row:
+            word = int(rng.integers(row, 5 * row))
+            canvas[at : at + row // 2, left : min(left + word, width - row)] = ink
+            left += word + row // 2
+        at += row if rng.random() < 0.85 else 3 * row
+    lines: Lines = []
+    for _ in range(int(rng.integers(0, 3))):
+        wide, high = int(width * rng.uniform(0.2, 0.7)), int(height * rng.uniform(0.2, 0.5))
+        left, top = int(rng.integers(0, width - wide)), int(rng.integers(0, height - high))
+        lines += _fill(canvas, (left, top, left + wide, top + high), _colour(rng))
+    return lines
+
+
+_TARGETS: tuple[Callable[[np.random.Generator, ndarray], Lines], ...] = (
+    _chequers,
+    _chequers,
+    _tags,
+    _dots,
+    _print,
+)
 
 USES: dict[str, tuple[str, ...]] = {
     "floor": ("_tiles", "_planks", "_bricks"),

@@ -3,6 +3,8 @@
 Batch i depends on the seed and on i only, so that a stopped training goes on with the same samples.
 """
 
+from __future__ import annotations
+
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from functools import lru_cache, partial
@@ -10,11 +12,18 @@ from itertools import pairwise
 
 import numpy as np
 import torch
-from jaxtyping import Float
+from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from learned.slf.atlas import PANORAMA, PATTERN, PHOTOGRAPH, ROOM, Atlas
+from learned.slf.atlas import BOARD, PANORAMA, PATTERN, PHOTOGRAPH, ROOM, Atlas
 from learned.slf.batch import SlfBatch
+from learned.slf.boards import (
+    Boards,
+    board_segments,
+    board_visibility,
+    draw_boards,
+    lay_boards,
+)
 from learned.slf.boxes import Boxes, box_segments, box_visibility, render_boxes
 from learned.slf.layouts import LayoutCfg, PoseCfg, draw_boxes, draw_rotations
 from learned.slf.lenses import LensBatch, concatenated
@@ -25,12 +34,80 @@ from learned.slf.photometry import PhotometryCfg, photographed
 from learned.slf.planes import Planes, draw_planes, plane_segments, render_planes
 from learned.slf.priors import lens_prior
 from learned.slf.rectify import rectified
-from learned.slf.strokes import Strokes, bent_strokes, draw_line_map
+from learned.slf.strokes import (
+    Segments3D,
+    Strokes,
+    Visibility,
+    bent_strokes,
+    draw_line_map,
+)
 
 _PLANES, _BOXES, _VIEWS, _ROOMS = range(4)
 _KINDS = (PHOTOGRAPH, PHOTOGRAPH, PANORAMA, ROOM)
 _BLOCK = 64
 Content = Planes | Boxes | Views
+
+
+@dataclass(frozen=True)
+class Scenery:
+    """What some samples look at.
+
+    Attributes:
+        content: One row a sample.
+        segments: Its straight lines, in camera coordinates.
+        visibility: What of them is not hidden, or None where nothing hides anything.
+    """
+
+    content: Content
+    segments: Segments3D
+    visibility: Visibility | None = None
+
+
+@dataclass(frozen=True)
+class Held:
+    """Which of some samples have a board before the lens.
+
+    Attributes:
+        boards: The boards, or None where no sample has one.
+        number: Board of each sample, rising, or -1.
+    """
+
+    boards: Boards | None
+    number: Int[Tensor, " b"]
+
+    @property
+    def rows(self) -> Int[Tensor, " n"]:
+        """The samples that have one, in the order of the boards."""
+        return torch.nonzero(self.number >= 0)[:, 0]
+
+    def before(self, rows: Int[Tensor, " n"]) -> Held:
+        """Those of some of the samples."""
+        number = self.number[rows]
+        there = number >= 0
+        if self.boards is None or not there.any():
+            return Held(None, torch.full_like(number, -1))
+        again = torch.where(there, torch.cumsum(there, 0) - 1, -1)
+        return Held(self.boards[number[there]], again)
+
+    def seen(
+        self, points: Float[Tensor, "n 3"], row: Int[Tensor, " n"], *, scene: Visibility | None
+    ) -> Bool[Tensor, " n"]:
+        """Which points of the scene neither it nor a board hides."""
+        whole = torch.ones(len(points), dtype=torch.bool, device=points.device)
+        visible = whole if scene is None else scene(points, row)
+        if self.boards is not None:
+            number = self.number[row]
+            at = torch.nonzero(number >= 0)[:, 0]
+            visible[at] &= board_visibility(self.boards, points[at], number[at])
+        return visible
+
+    def lay(self, atlas: Atlas, lens: Optics, rays: Tensor, picture: Tensor) -> None:
+        """Draw the boards over the samples' pictures in [0, 255], in place."""
+        if self.boards is not None:
+            rows = self.rows
+            some = picture[rows]
+            lay_boards(atlas, self.boards, lens[rows], rays[rows], some)
+            picture[rows] = some
 
 
 @dataclass(frozen=True)
@@ -44,6 +121,8 @@ class StreamCfg:
             always take `paper`: a flat photograph cannot fill a wider lens.
         fisheye_share: Share of the `wild` lenses that are of the prior `fisheye`.
         straight_share: Share of all scenes that are taken by lenses that bend next to nothing.
+        board_share: Share of the boxes and panoramas that have a board before the lens.
+        grey_share: Share of all pictures that have no colour.
         shortest_px: Bent lines shorter than this are not drawn.
         photometry: What a real camera does to the picture, or None for clean pictures.
         clean_share: Share of the groups that stay clean all the same.
@@ -60,6 +139,8 @@ class StreamCfg:
     wild_share: float = 0.8
     fisheye_share: float = 0.0
     straight_share: float = 0.0
+    board_share: float = 0.0
+    grey_share: float = 0.0
     shortest_px: float = 12.0
     photometry: PhotometryCfg | None = field(default_factory=PhotometryCfg)
     clean_share: float = 0.25
@@ -95,6 +176,11 @@ class SlfStream:
                 "expected scenes that the pack has pictures for, got the weights "
                 f"{self.config.scenes} of planes, boxes, panoramas and rooms"
             )
+        if self.config.board_share and not len(self.atlas.of_kind(BOARD)):
+            raise ValueError(
+                f"expected a pack with drawn boards for a share of {self.config.board_share}, "
+                "got none; `synthesize pack --boards` draws them"
+            )
 
     def __iter__(self) -> Iterator[SlfBatch]:
         """All batches from the first."""
@@ -129,14 +215,17 @@ class SlfStream:
         """Samples of one group, drawn together."""
         rng = np.random.default_rng([self.seed, 1, first])
         scene, lens = self._lenses(first, last)
+        held = self._held(scene, first)
         clean = lens.vector.new_empty((last - first, 3, self.size, self.size))
         strokes = []
         for kind, draw in self._draws():
             rows = torch.from_numpy(np.nonzero(scene == kind)[0]).to(clean.device)
             if len(rows):
-                content, runs = draw(rng, lens[rows])
-                strokes.append((runs, rows))
-                self._render(content, lens[rows], clean, rows)
+                scenery, boards = draw(rng, len(rows)), held.before(rows)
+                strokes += [
+                    (runs, rows[of]) for runs, of in self._runs(scenery, boards, lens[rows])
+                ]
+                self._render(scenery.content, boards, lens[rows], clean, rows)
         lines = joined_strokes(strokes) if len(strokes) > 1 else strokes[0][0]
         image = clean
         stays_clean = (
@@ -144,13 +233,15 @@ class SlfStream:
         )
         if self.config.photometry is not None and not stays_clean:
             image = photographed(clean, lens, rng=rng, config=self.config.photometry)
+        grey = np.random.default_rng([self.seed, 4, first]).random(last - first)
+        image, clean = (_without_colour(x, grey < self.config.grey_share) for x in (image, clean))
         # zeros that take no memory
         flat = rectified(clean, lens) if self.config.with_rectified else clean.new_zeros(1)
         line_map = draw_line_map(lines, batch=last - first, size=self.size)
         flat = flat.expand_as(clean)
         return SlfBatch(image, line_map, lens.vector, flat, lens.theta_max), lines
 
-    def _draws(self) -> list[tuple[int, Callable[..., tuple[Content, Strokes]]]]:
+    def _draws(self) -> list[tuple[int, Callable[..., Scenery]]]:
         """Every scene and what draws it."""
         return [
             (_PLANES, self._planes),
@@ -159,7 +250,37 @@ class SlfStream:
             (_ROOMS, partial(self._views, kind=ROOM)),
         ]
 
-    def _render(self, content: Content, lens: Optics, out: Tensor, rows: Tensor) -> None:
+    def _held(self, scene: np.ndarray, first: int) -> Held:
+        """Boards before some of the samples; their random numbers are nobody else's."""
+        rng = np.random.default_rng([self.seed, 3, first])
+        chosen = (scene != _PLANES) & (rng.random(len(scene)) < self.config.board_share)
+        if not chosen.any():
+            return Held(None, torch.full((len(scene),), -1))
+        boards = draw_boards(
+            rng,
+            self.atlas,
+            self.atlas.of_kind(BOARD),
+            self.atlas.of_kind(PHOTOGRAPH),
+            int(chosen.sum()),
+        )
+        number = torch.from_numpy(np.where(chosen, np.cumsum(chosen) - 1, -1))
+        return Held(boards, number.to(boards.picture.device))
+
+    def _runs(
+        self, scenery: Scenery, boards: Held, lens: Optics
+    ) -> Iterator[tuple[Strokes, Tensor]]:
+        """Bent lines of a scene and of the boards before it, and the samples they are of."""
+        shortest = self.config.shortest_px
+        every = torch.arange(len(lens), device=lens.vector.device)
+        seen = partial(boards.seen, scene=scenery.visibility)
+        yield bent_strokes(lens, scenery.segments, visibility=seen, shortest_px=shortest), every
+        if boards.boards is not None:
+            lines = board_segments(self.atlas, boards.boards)
+            yield bent_strokes(lens[boards.rows], lines, shortest_px=shortest), boards.rows
+
+    def _render(
+        self, content: Content, held: Held, lens: Optics, out: Tensor, rows: Tensor
+    ) -> None:
         """Clean pictures in [0, 1] into rows of `out`, so many at a time as fit the caches."""
         oversampling = self.config.oversampling
         tables = ray_tables(lens, oversampling=oversampling)
@@ -175,6 +296,7 @@ class SlfStream:
                     picture = render_boxes(self.atlas, scenes, lenses, rays)
                 else:
                     picture = render_views(self.atlas, scenes, rays)
+                held.before(some).lay(self.atlas, lenses, rays, picture)
                 picture *= valid[:, None]
             out[rows[some]] = _averaged(picture, oversampling).mul_(1 / 255.0)
 
@@ -197,37 +319,24 @@ class SlfStream:
             len(self.atlas.of_kind(k)) > 0 for k in _KINDS
         ]
 
-    def _planes(self, rng: np.random.Generator, lens: Optics) -> tuple[Planes, Strokes]:
+    def _planes(self, rng: np.random.Generator, n: int) -> Scenery:
         photographs = self.atlas.of_kind(PHOTOGRAPH)
-        planes = draw_planes(rng, self.atlas, photographs, len(lens), upright=False)
-        lines = bent_strokes(
-            lens, plane_segments(self.atlas, planes), shortest_px=self.config.shortest_px
-        )
-        return planes, lines
+        planes = draw_planes(rng, self.atlas, photographs, n, upright=False)
+        return Scenery(planes, plane_segments(self.atlas, planes))
 
-    def _boxes(self, rng: np.random.Generator, lens: Optics) -> tuple[Boxes, Strokes]:
+    def _boxes(self, rng: np.random.Generator, n: int) -> Scenery:
         photographs, patterns = self.atlas.of_kind(PHOTOGRAPH), self.atlas.of_kind(PATTERN)
-        boxes = draw_boxes(rng, self.atlas, photographs, patterns, len(lens), self.config.layout)
-        lines = bent_strokes(
-            lens,
-            box_segments(self.atlas, boxes),
-            visibility=lambda points, row: box_visibility(boxes, points, row),
-            shortest_px=self.config.shortest_px,
-        )
-        return boxes, lines
+        boxes = draw_boxes(rng, self.atlas, photographs, patterns, n, self.config.layout)
+        return Scenery(boxes, box_segments(self.atlas, boxes), partial(box_visibility, boxes))
 
-    def _views(self, rng: np.random.Generator, lens: Optics, *, kind: int) -> tuple[Views, Strokes]:
+    def _views(self, rng: np.random.Generator, n: int, *, kind: int) -> Scenery:
         panoramas = self.atlas.of_kind(kind)
-        like = lens.vector
-        chosen = torch.from_numpy(rng.integers(0, len(panoramas), len(lens))).to(like.device)
+        chosen = torch.from_numpy(rng.integers(0, len(panoramas), n)).to(panoramas.device)
         rotation = torch.as_tensor(
-            draw_rotations(rng, len(lens), self.config.pose), dtype=like.dtype, device=like.device
+            draw_rotations(rng, n, self.config.pose), dtype=torch.float32, device=panoramas.device
         )
         views = Views(panoramas[chosen], rotation)
-        lines = bent_strokes(
-            lens, view_segments(self.atlas, views), shortest_px=self.config.shortest_px
-        )
-        return views, lines
+        return Scenery(views, view_segments(self.atlas, views))
 
 
 @lru_cache(maxsize=64)
@@ -277,6 +386,15 @@ def joined_strokes(parts: list[tuple[Strokes, Tensor]]) -> Strokes:
         row=torch.cat([rows[s.row] for s, rows in parts]),
         segment=torch.cat(segments),
     )
+
+
+def _without_colour(image: Float[Tensor, "b 3 h w"], chosen: np.ndarray) -> Tensor:
+    """Pictures in [0, 1], the chosen ones grey, rounded to 8 bits."""
+    if not chosen.any():
+        return image
+    grey = image.mean(dim=1, keepdim=True).mul_(255).round_().div_(255)
+    mask = torch.from_numpy(chosen).to(image.device)[:, None, None, None]
+    return torch.where(mask, grey, image)
 
 
 def _some_of(content: Content, rows: Tensor) -> Content:
