@@ -90,14 +90,21 @@ def _poses(rng: np.random.Generator, n: int) -> Float[ndarray, "n 3 3"]:
     theta = np.minimum(np.abs(rng.normal(0, _OFF_AXIS, n)), _FARTHEST)
     phi = rng.uniform(-np.pi, np.pi, n)
     middle = np.stack([np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi), np.cos(theta)], 1)
-    tilt = np.clip(rng.normal(0, _TILT, (n, 2)), -_STEEPEST, _STEEPEST)
-    away = middle + np.concatenate([np.tan(tilt), np.zeros((n, 1))], axis=1)
-    away /= np.linalg.norm(away, axis=1, keepdims=True)
     roll = np.where(rng.random(n) < _ANYHOW, rng.uniform(-np.pi, np.pi, n), rng.normal(0, _ROLL, n))
-    down = np.stack([-np.sin(roll), np.cos(roll), np.zeros(n)], 1)
+    upright = np.stack([-np.sin(roll), np.cos(roll), np.zeros(n)], 1)
+    right, down = _across(upright, middle)
+    # turned away from the ray to its middle about its own axes
+    tilt = np.tan(np.clip(rng.normal(0, _TILT, (n, 2)), -_STEEPEST, _STEEPEST))
+    away = middle + tilt[:, :1] * right + tilt[:, 1:] * down
+    return np.stack([*_across(down, away), middle], axis=2)
+
+
+def _across(down: Float[ndarray, "n 3"], away: Float[ndarray, "n 3"]) -> tuple[ndarray, ndarray]:
+    """Unit axes to the right and down at right angles to `away`, down as near as can be."""
     right = np.cross(down, away)
     right /= np.linalg.norm(right, axis=1, keepdims=True)
-    return np.stack([right, np.cross(away, right), middle], axis=2)
+    away = away / np.linalg.norm(away, axis=1, keepdims=True)
+    return right, np.cross(away, right)
 
 
 @torch.no_grad()

@@ -389,12 +389,11 @@ def joined_strokes(parts: list[tuple[Strokes, Tensor]]) -> Strokes:
 
 
 def _without_colour(image: Float[Tensor, "b 3 h w"], chosen: np.ndarray) -> Tensor:
-    """Pictures in [0, 1], the chosen ones grey, rounded to 8 bits."""
+    """The pictures, the chosen ones grey."""
     if not chosen.any():
         return image
-    grey = image.mean(dim=1, keepdim=True).mul_(255).round_().div_(255)
     mask = torch.from_numpy(chosen).to(image.device)[:, None, None, None]
-    return torch.where(mask, grey, image)
+    return torch.where(mask, image.mean(dim=1, keepdim=True), image)
 
 
 def _some_of(content: Content, rows: Tensor) -> Content:
