@@ -137,6 +137,13 @@ def _stream(
     type=click.Path(file_okay=False, path_type=Path),
     help="Where these samples are kept; default: OUT/samples. Runs may share them.",
 )
+@click.option(
+    "--upright",
+    default=0.0,
+    show_default=True,
+    type=click.FloatRange(0, 1),
+    help="Share of batches of samples made ahead that are transposed: higher than wide.",
+)
 @mixture_options
 @click.option("--rate", type=float, help="Learning rate, instead of the preset's.")
 @click.option("--fall", type=click.FloatRange(0, 1), help="Share of the run with a falling rate.")
@@ -160,6 +167,7 @@ def train(
     seed: int,
     ahead: int,
     samples: Path | None,
+    upright: float,
     scenes: tuple[float, float, float, float],
     wild: float,
     fisheye: float,
@@ -189,6 +197,8 @@ def train(
     from learned.presets import preset
     from learned.train import RunCfg
 
+    if upright and not ahead:
+        raise click.UsageError("--upright is for samples made ahead; give --ahead, too")
     if threads is not None:
         torch.set_num_threads(threads)
     chosen = preset(preset_name).with_schedule(rate=rate, fall=fall)
@@ -204,6 +214,7 @@ def train(
         size=size,
         ahead=ahead,
         samples=samples,
+        upright=upright,
         data=_stream(scenes, wild, fisheye, straight, boards, grey),
         init=init,
         run=RunCfg(

@@ -54,6 +54,7 @@ class JobCfg:
         ahead: Samples made before the training and used in every epoch; 0 makes each sample when
             it is needed, and uses it once.
         samples: Where they are kept, by default in the run folder; runs may share them.
+        upright: Share of their batches that are transposed; see `Epochs`.
         data: Mixture of scenes and lenses.
         init: Weights to start from: of the same network, or of line perception for LaRecNet.
         validation_batches: Batches of eight in a report.
@@ -71,6 +72,7 @@ class JobCfg:
     size: int = SIZE
     ahead: int = 0
     samples: Path | None = None
+    upright: float = 0.0
     data: StreamCfg = field(default_factory=StreamCfg)
     init: Path | None = None
     validation_batches: int = 4
@@ -135,7 +137,7 @@ def _made_ahead(job: JobCfg) -> Epochs:
     samples = make_samples(
         folder, cfg, stride=job.preset.network.pixel_stride, workers=processor_count()
     )
-    return Epochs(samples, job.seed, job.batch_size)
+    return Epochs(samples, job.seed, job.batch_size, job.upright)
 
 
 def _network(job: JobCfg) -> tuple[nn.Module, Phase, OptimCfg]:
@@ -197,6 +199,9 @@ def training_card(job: JobCfg) -> dict[str, Any]:
         "wild share": job.data.wild_share,
         "fisheye share": job.data.fisheye_share,
         "straight share": job.data.straight_share,
+        "board share": job.data.board_share,
+        "grey share": job.data.grey_share,
+        "upright share": job.upright,
         "seed": job.seed,
         "steps": job.steps,
         "batch": job.batch_size,

@@ -41,6 +41,27 @@ def mirrored(batch: SlfBatch, dims: tuple[int, ...]) -> SlfBatch:
     )
 
 
+def transposed(batch: SlfBatch) -> SlfBatch:
+    """The batch with columns and rows exchanged: upright pictures of lying ones.
+
+    In the gauge m_u = 1 the lens becomes (k m_v, 1, 1 / m_v, v0, u0).
+    """
+
+    def swap(picture: Tensor | None) -> Tensor | None:
+        return None if picture is None else picture.transpose(2, 3)
+
+    k = batch.k
+    aspect = k[:, 6:7]
+    return replace(
+        batch,
+        image=batch.image.transpose(2, 3),
+        line_map=batch.line_map.transpose(2, 3),
+        k=torch.cat([k[:, :5] * aspect, k[:, 5:6], 1 / aspect, k[:, 8:9], k[:, 7:8]], dim=1),
+        rectified=batch.rectified.transpose(2, 3),
+        seen=swap(batch.seen),
+    )
+
+
 @dataclass(frozen=True)
 class MeanEstimate:
     """What LaRecNet says of pictures and their mirror images, brought together.

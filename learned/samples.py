@@ -22,7 +22,7 @@ from tqdm import tqdm
 
 from classical.files import atomic_path
 from learned.dlp import LinePerception
-from learned.mirror import MIRRORS, mirrored
+from learned.mirror import MIRRORS, mirrored, transposed
 from learned.pool import WorkPool
 from learned.rectification import rectify_images
 from learned.slf.atlas import load_atlas
@@ -102,11 +102,19 @@ class Epochs:
     """Batches of a set by number: every sample once an epoch, in another order and mirror each.
 
     Batch i depends on the seed and on i only.
+
+    Attributes:
+        samples: The set.
+        seed: Of order, mirrors and light.
+        batch_size: Samples a batch.
+        upright: Share of the batches whose pictures are transposed: a wide picture becomes a high
+            one, which the priors of lenses never have.
     """
 
     samples: SampleSet
     seed: int
     batch_size: int
+    upright: float = 0.0
 
     def __call__(self, number: int) -> SlfBatch:
         """Batch `number`."""
@@ -122,7 +130,8 @@ class Epochs:
         batch = mirrored(self.samples.batch(rows), MIRRORS[rng.integers(len(MIRRORS))])
         exposure = torch.from_numpy(rng.uniform(*_EXPOSURE, (len(rows), 3, 1, 1)).astype("f4"))
         lit = [(picture * exposure).clamp(0, 1) for picture in (batch.image, batch.rectified)]
-        return replace(batch, image=lit[0], rectified=lit[1])
+        batch = replace(batch, image=lit[0], rectified=lit[1])
+        return transposed(batch) if rng.random() < self.upright else batch
 
 
 def make_samples(

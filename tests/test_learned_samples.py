@@ -94,6 +94,26 @@ def test_mirrored_samples_keep_lens_and_picture_together(folder: Path) -> None:
         assert (again - batch.rectified).abs().quantile(0.98) < 1e-3
 
 
+def test_a_share_of_the_batches_is_upright_and_keeps_lens_and_picture_together(
+    folder: Path,
+) -> None:
+    """Not one batch, some, or all; where transposed, the lens rectifies the picture still."""
+    plain = [Epochs(SampleSet(folder), seed=4, batch_size=8)(i).image for i in range(12)]
+    for share, least, most in ((0.0, 0, 0), (0.5, 2, 10), (1.0, 12, 12)):
+        epochs = Epochs(SampleSet(folder), seed=4, batch_size=8, upright=share)
+        batches = [epochs(i) for i in range(12)]
+        turned = [
+            torch.equal(b.image.transpose(2, 3), p) for b, p in zip(batches, plain, strict=True)
+        ]
+        same = [torch.equal(b.image, p) for b, p in zip(batches, plain, strict=True)]
+        assert all(a != b for a, b in zip(turned, same, strict=True))
+        assert least <= sum(turned) <= most
+        for batch in batches[:4]:
+            again = rectify_images(batch.image, batch.k)
+            assert (again - batch.rectified).abs().quantile(0.98) < 1e-3
+            assert torch.equal(batch.k[:, 5], torch.ones(8))
+
+
 def test_a_batch_larger_than_the_set_is_refused(folder: Path) -> None:
     with pytest.raises(ValueError, match="at most 16 samples, got 17"):
         Epochs(SampleSet(folder), seed=1, batch_size=17)(0)
