@@ -16,14 +16,24 @@ if TYPE_CHECKING:
 
 _PACK = click.Path(exists=True, dir_okay=False, path_type=Path)
 _SCENES = (0.45, 0.35, 0.2, 0.0)
-_WILD = 0.8
-_FISHEYE = 0.0
-_STRAIGHT = 0.0
-_BOARDS = 0.0
-_GREY = 0.0
+_SHARES = {
+    "wild": (0.8, "Share of the prior `wild` in boxes and panoramas."),
+    "fisheye": (0.0, "Share of these that have lenses of some 180°, the prior `fisheye`."),
+    "straight": (0.0, "Share of pictures taken by lenses that bend next to nothing."),
+    "board": (0.0, "Share of boxes and panoramas with a flat board held before the lens."),
+    "grey": (0.0, "Share of pictures without colour."),
+}
+"""Of the training pictures: default and meaning of each `StreamCfg.…_share`."""
 
-_MIXTURE = {
-    "scenes": click.option(
+
+def mixture_options(command: Callable[..., Any]) -> Callable[..., Any]:
+    """What the pictures of a training are."""
+    for name, (default, told) in reversed(_SHARES.items()):
+        share = click.FloatRange(0, 1)
+        command = click.option(
+            f"--{name}", default=default, show_default=True, type=share, help=told
+        )(command)
+    return click.option(
         "--scenes",
         default=_SCENES,
         show_default=True,
@@ -31,71 +41,15 @@ _MIXTURE = {
         type=click.FloatRange(0, 1),
         help="Shares of photographs as planes (D-Wireframe), boxes of photographs, panoramas, "
         "rendered rooms.",
-    ),
-    "wild": click.option(
-        "--wild",
-        default=_WILD,
-        show_default=True,
-        type=click.FloatRange(0, 1),
-        help="Share of the prior `wild` in boxes and panoramas.",
-    ),
-    "fisheye": click.option(
-        "--fisheye",
-        default=_FISHEYE,
-        show_default=True,
-        type=click.FloatRange(0, 1),
-        help="Share of these that have lenses of some 180°, the prior `fisheye`.",
-    ),
-    "straight": click.option(
-        "--straight",
-        default=_STRAIGHT,
-        show_default=True,
-        type=click.FloatRange(0, 1),
-        help="Share of pictures taken by lenses that bend next to nothing.",
-    ),
-    "boards": click.option(
-        "--boards",
-        default=_BOARDS,
-        show_default=True,
-        type=click.FloatRange(0, 1),
-        help="Share of boxes and panoramas with a flat board held before the lens.",
-    ),
-    "grey": click.option(
-        "--grey",
-        default=_GREY,
-        show_default=True,
-        type=click.FloatRange(0, 1),
-        help="Share of pictures without colour.",
-    ),
-}
+    )(command)
 
 
-def mixture_options(command: Callable[..., Any]) -> Callable[..., Any]:
-    """What the pictures of a training are."""
-    for option in reversed(_MIXTURE.values()):
-        command = option(command)
-    return command
-
-
-def _stream(
-    scenes: tuple[float, float, float, float],
-    wild: float,
-    fisheye: float,
-    straight: float,
-    boards: float,
-    grey: float,
-) -> StreamCfg:
+def _stream(mixture: dict[str, Any]) -> StreamCfg:
     """What `mixture_options` say, as the stream wants it."""
     from learned.slf.stream import StreamCfg
 
-    return StreamCfg(
-        scenes=scenes,
-        wild_share=wild,
-        fisheye_share=fisheye,
-        straight_share=straight,
-        board_share=boards,
-        grey_share=grey,
-    )
+    shares = {f"{name}_share": mixture[name] for name in _SHARES}
+    return StreamCfg(scenes=mixture["scenes"], **shares)
 
 
 @click.command()
@@ -168,12 +122,6 @@ def train(
     ahead: int,
     samples: Path | None,
     upright: float,
-    scenes: tuple[float, float, float, float],
-    wild: float,
-    fisheye: float,
-    straight: float,
-    boards: float,
-    grey: float,
     rate: float | None,
     fall: float | None,
     resume: bool,
@@ -183,6 +131,7 @@ def train(
     checkpoint_minutes: float,
     report_every: int,
     cpu: bool,
+    **mixture: Any,
 ) -> None:
     """Train line perception (dlp), then LaRecNet on top of it, or the baseline of Rong et al.
 
@@ -215,7 +164,7 @@ def train(
         ahead=ahead,
         samples=samples,
         upright=upright,
-        data=_stream(scenes, wild, fisheye, straight, boards, grey),
+        data=_stream(mixture),
         init=init,
         run=RunCfg(
             steps=steps,
@@ -257,15 +206,10 @@ def assess(
     weights: str,
     validation: Path,
     pack: Path | None,
-    scenes: tuple[float, float, float, float],
-    wild: float,
-    fisheye: float,
-    straight: float,
-    boards: float,
-    grey: float,
     samples: int,
     out: Path | None,
     overwrite: bool,
+    **mixture: Any,
 ) -> None:
     """Score a LaRecNet as its model card does: a file, or the name of weights that ship.
 
@@ -274,10 +218,10 @@ def assess(
     training was made of and matter to --data alone.
     """
     _check_output(weights, out, overwrite)
-    given = {context.get_parameter_source(name) for name in _MIXTURE}
+    given = {context.get_parameter_source(name) for name in mixture}
     if pack is None and ParameterSource.COMMANDLINE in given:
         raise click.UsageError(
-            f"{', '.join(f'--{name}' for name in _MIXTURE)} need --data, the pack of the training"
+            f"{', '.join(f'--{name}' for name in mixture)} need --data, the pack of the training"
         )
     from learned import assess as assessment
     from learned.larecnet import LaRecNet
@@ -290,16 +234,15 @@ def assess(
     if pack is not None and not network.cfg.calibration.covariance:
         raise click.UsageError(f"--data is for weights that predict a spread; {weights} do not")
     if pack is not None:
-        mixture = _stream(scenes, wild, fisheye, straight, boards, grey)
-        batches = assessment.temperature_batches(pack, network.cfg.frame, mixture)
+        batches = assessment.temperature_batches(pack, network.cfg.frame, _stream(mixture))
         total = assessment.TEMPERATURE_BATCHES
         assessment.fit_temperature(network, _shown("temperature", batches, total))
         click.echo(f"temperature {float(network.calibration.temperature):.4f}")
     count = samples // assessment.BATCH
     scores = {}
-    for name, mixture in assessment.VALIDATIONS.items():
+    for name, pictures in assessment.VALIDATIONS.items():
         batches = assessment.validation_batches(
-            validation, count, assessment.VALIDATION_SIZE, mixture
+            validation, count, assessment.VALIDATION_SIZE, pictures
         )
         found = assessment.assess(network, _shown(name, batches, count)).summary()
         scores[name] = {key: round(value, 4) for key, value in found.items()}

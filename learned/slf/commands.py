@@ -266,7 +266,7 @@ def _catalogue_names(folder: Path, cc0: bool) -> list[str]:
     default=0,
     show_default=True,
     type=click.IntRange(0),
-    help="Drawn calibration targets and posters, for `train --boards`.",
+    help="Drawn calibration targets and posters, for `train --board`.",
 )
 @click.option("--out", required=True, type=click.Path(path_type=Path), help="File to write.")
 @click.option("--seed", default=1, show_default=True, help="Of what is drawn.")
