@@ -17,6 +17,7 @@ from jaxtyping import Float, UInt8
 from numpy import ndarray
 
 from classical.fit import (
+    Doubt,
     Estimate,
     FitConfig,
     LensPrior,
@@ -39,6 +40,7 @@ from hybrid.result import Calibration
 from learned.predictor import Predictor
 
 _NETWORK = "network"
+_DOUBT = Doubt(least=2.0, most=8.0, field=4.0, unit=2.0, centring=0.0125)
 Answer = TypeVar("Answer")
 
 
@@ -51,17 +53,11 @@ class HybridConfig:
         adds_edges: Edges that the heatmap does not mark are curves too.
         follows: Lines are followed beyond the ends of their curves.
         believes: LaRecNet's lens is a belief beside a start.
-        field_doubt: By how much the standard deviation of LaRecNet's field of view is widened
-            before it is believed: a network does worse on real pictures than on those it was
-            trained on …
-        lens_doubts: … and worst in the shape of the lens, so those of the lens as a whole are
-            widened by more: by the first of these where the curves are as straight under it as
-            they can be, by the second at most; see `Estimate`. Weights for pictures like their
-            training set alone say themselves how far to doubt them: their card has a "doubt".
-        doubt_unit: `Estimate.unit`.
-        centring: Deviation of the principal points of real lenses in half picture widths, below
-            which LaRecNet is not believed: it trained on lenses, too, that are centred exactly,
-            and takes clean pictures to be of one.
+        doubt: How far LaRecNet's lens is doubted: a network does worse on real pictures than on
+            those it was trained on, and worst in the shape of the lens. It trained on lenses, too,
+            that are centred exactly, and takes clean pictures to be of one; real principal points
+            deviate by `centring`. Weights for pictures like their training set alone say
+            themselves how far to doubt them: their card has a "doubt".
         has_parallels: Lines that point in one direction help the bends.
         has_vanishing: Orthogonal vanishing points help to fix the scale.
     """
@@ -70,10 +66,7 @@ class HybridConfig:
     adds_edges: bool = True
     follows: bool = True
     believes: bool = True
-    field_doubt: float = 4.0
-    lens_doubts: tuple[float, float] = (2.0, 8.0)
-    doubt_unit: float = 2.0
-    centring: float = 0.0125
+    doubt: Doubt = _DOUBT
     has_parallels: bool = True
     has_vanishing: bool = True
 
@@ -141,17 +134,9 @@ class HybridEstimator:
 
     def _believed(self, belief: LensPrior) -> Estimate:
         """LaRecNet's lens, and how far to believe it; see `HybridConfig`."""
-        doubt, cfg = self._predictor.card.get("doubt"), self._hybrid
-        if doubt is not None:
-            return Estimate(belief, _NETWORK, (float(doubt), float(doubt)))
-        return Estimate(
-            belief,
-            _NETWORK,
-            cfg.lens_doubts,
-            field_doubt=cfg.field_doubt,
-            unit=cfg.doubt_unit,
-            centring=cfg.centring,
-        )
+        own = self._predictor.card.get("doubt")
+        doubt = self._hybrid.doubt if own is None else Doubt(float(own), float(own))
+        return Estimate(belief, _NETWORK, doubt)
 
     def _lineness(self, picture: UInt8[ndarray, "h w 3"]) -> Float[ndarray, "hh ww"]:
         return self._predictor.lines(picture).lineness

@@ -8,6 +8,7 @@ import pytest
 from classical.camera import KannalaBrandt
 from classical.camera.ray_field import ray_field
 from classical.fit import (
+    Doubt,
     Estimate,
     FitConfig,
     LensPrior,
@@ -447,7 +448,7 @@ def test_a_weak_bend_is_not_called_straight() -> None:
 
 def test_an_estimate_is_doubted_as_far_as_the_curves_lose_under_it() -> None:
     belief = LensPrior(LENS.to_vector(), generic_prior(0.75, WIDTH, HEIGHT).covariance)
-    estimate = Estimate(belief, "a network", (2.0, 8.0), field_doubt=4.0, unit=2.0)
+    estimate = Estimate(belief, "a network", Doubt(least=2.0, most=8.0, field=4.0, unit=2.0))
     for loss, doubt in (
         (-1.0, 2.0),
         (0.0, 2.0),
@@ -460,7 +461,7 @@ def test_an_estimate_is_doubted_as_far_as_the_curves_lose_under_it() -> None:
         free = belief.covariance[np.ix_(FREE, FREE)]
         np.testing.assert_allclose(whole.covariance, doubt**2 * free)
         np.testing.assert_allclose(field.covariance, min(doubt, 4.0) ** 2 * field_of(belief))
-    assert len(replace(estimate, field_doubt=None).observations()) == 1
+    assert len(Estimate(belief, "a network", Doubt(2.0, 8.0)).observations()) == 1
 
 
 def field_of(belief: LensPrior) -> np.ndarray:
@@ -473,16 +474,17 @@ def test_curves_decide_how_far_an_estimate_counts_in_what_they_do_not_tell() -> 
     curves = line_pictures(LENS, 40, rng, noise=0.3)
     spread = 0.001 * generic_prior(0.75, WIDTH, HEIGHT).covariance
 
-    def fitted(lens: KannalaBrandt, doubts: tuple[float, float]) -> KannalaBrandt:
-        estimate = Estimate(LensPrior(lens.to_vector(), spread), "a network", doubts, unit=2.0)
+    def fitted(lens: KannalaBrandt, doubt: Doubt) -> KannalaBrandt:
+        estimate = Estimate(LensPrior(lens.to_vector(), spread), "a network", doubt)
         fit = fit_lens([curves], WIDTH, HEIGHT, estimate=estimate, config=FitConfig(vanishing=None))
         assert fit.camera is not None
         assert fit.scale_source == "a network"
         return fit.camera
 
+    doubts = (Doubt(2.0, 8.0, unit=2.0), Doubt(8.0, 8.0, unit=2.0))
     wider = rescaled(LENS, 0.8)
-    believed, doubted = (fitted(wider, doubts).k[0] for doubts in ((2.0, 8.0), (8.0, 8.0)))
+    believed, doubted = (fitted(wider, doubt).k[0] for doubt in doubts)
     assert abs(believed - wider.k[0]) < 0.5 * abs(doubted - wider.k[0])
     bent = replace(wider, k=wider.k * np.array([1.0, -2.0, 1.0, 1.0, 1.0]))
-    anyhow, doubted = (fitted(bent, doubts) for doubts in ((2.0, 8.0), (8.0, 8.0)))
+    anyhow, doubted = (fitted(bent, doubt) for doubt in doubts)
     np.testing.assert_array_equal(anyhow.to_vector(), doubted.to_vector())

@@ -164,19 +164,20 @@ def test_weights_with_a_doubt_speak_of_the_lens_and_others_of_its_field_more_sur
     Rectifier(RectifyConfig(method="hybrid", weights=str(path))).calibrate([picture])
     belief = network_belief([Predictor.from_weights(path).lens(picture)])
     assert belief is not None
-    cfg, lens = HybridConfig(), of_belief(belief, "network")
+    usual, lens = HybridConfig().doubt, of_belief(belief, "network")
     # k1..k5, m_v, u0, v0: lenses are not centred better than so, whatever the network says
-    slack = np.diag([0.0] * 6 + [(cfg.centring * 64) ** 2] * 2)
+    slack = np.diag([0.0] * 6 + [(usual.centring * 64) ** 2] * 2)
     field = of_belief_field(belief, "network")
+    assert usual.field is not None
     unsure = [
-        (field, cfg.field_doubt**2 * field.covariance),
-        (lens, cfg.lens_doubts[1] ** 2 * lens.covariance + slack),
+        (field, usual.field**2 * field.covariance),
+        (lens, usual.most**2 * lens.covariance + slack),
     ]
     told = unsure if doubt is None else [(lens, doubt**2 * lens.covariance)]
-    least = cfg.lens_doubts[0] if doubt is None else doubt
+    least = usual.least if doubt is None else doubt
     agreed = heard[0].observations(0.0)
     np.testing.assert_allclose(agreed[-1].covariance[0, 0], least**2 * lens.covariance[0, 0])
-    assert doubt is not None or heard[0].unit == cfg.doubt_unit
+    assert doubt is not None or heard[0].doubt == usual
     for one, (other, covariance) in zip(heard[0].observations(), told, strict=True):
         assert one.source == "network"
         np.testing.assert_array_equal(one.matrix, other.matrix)

@@ -1,6 +1,7 @@
 """The names of `classical.fit` for type checkers; `__init__.py` imports each when it is used."""
 
 from .config import FitConfig as FitConfig
+from .estimate import Doubt as Doubt
 from .estimate import Estimate as Estimate
 from .fitted import fitted_curves as fitted_curves
 from .observations import Observation as Observation
