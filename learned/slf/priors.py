@@ -200,14 +200,17 @@ STANDARD_FRAMES = (
 """Weight, frame, mean and standard deviation of Θ in radians."""
 
 FISHEYE_FRAMES = (
-    (0.22, Frame((0.75, 1.25), True, 0.75), (1.62, 0.12)),
-    (0.14, Frame((0.7, 1.2), True, 2 / 3), (1.62, 0.12)),
-    (0.16, Frame((0.65, 1.2), True, 0.5625), (1.62, 0.12)),
+    (0.16, Frame((0.75, 1.25), True, 0.75), (1.62, 0.12)),
+    (0.08, Frame((0.75, 1.2), True, 0.8), (1.62, 0.12)),
+    (0.08, Frame((0.8, 1.3), True, 0.94), (1.62, 0.12)),
+    (0.1, Frame((0.7, 1.2), True, 2 / 3), (1.62, 0.12)),
+    (0.1, Frame((0.65, 1.2), True, 0.625), (1.62, 0.12)),
+    (0.12, Frame((0.65, 1.2), True, 0.5625), (1.62, 0.12)),
     (0.1, Frame((0.7, 1.0), True, 1.0), (1.62, 0.12)),
-    (0.1, Frame((1.0, 1.4), True, 1.0), (1.62, 0.12)),
-    (0.12, _full(1.0), (1.5, 0.15)),
-    (0.08, _letterbox(4 / 3), (1.5, 0.15)),
-    (0.08, _letterbox(16 / 9), (1.5, 0.15)),
+    (0.08, Frame((1.0, 1.4), True, 1.0), (1.62, 0.12)),
+    (0.08, _full(1.0), (1.5, 0.15)),
+    (0.05, _letterbox(4 / 3), (1.5, 0.15)),
+    (0.05, _letterbox(16 / 9), (1.5, 0.15)),
 )
 """The same for the prior `fisheye`."""
 
@@ -368,9 +371,16 @@ class WildPrior:
 
 
 def fisheye_prior() -> WildPrior:
-    """Standard projections of about 180°, their centres as loose as those of cheap cameras."""
+    """Lenses of about 180°, nearly equidistant as most that are calibrated.
+
+    Their centres are as loose as those of cheap cameras.
+    """
     return WildPrior(
-        name="fisheye", fitted_share=0.0, standard_frames=FISHEYE_FRAMES, centre_factor=2.0
+        name="fisheye",
+        fitted_share=0.0,
+        standard_frames=FISHEYE_FRAMES,
+        projection_weights=(0.55, 0.18, 0.2, 0.07),
+        centre_factor=2.0,
     )
 
 
