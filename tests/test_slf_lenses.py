@@ -67,6 +67,14 @@ def test_fisheyes_are_wide_and_mostly_cut_above_and_below():
     assert cut.mean() > 0.4
 
 
+def test_fisheyes_are_nearly_equidistant():
+    """r(θ) / (k1 θ) is 1 for f-theta lenses, at 1 rad 0.96 for equisolid ones, 1.09 for stereographic."""
+    k = lens_prior("fisheye").sample(np.random.default_rng(2), 2000).vector[:, :5]
+    ratio = k.sum(axis=1) / k[:, 0]
+    assert np.median(ratio) == pytest.approx(1.0, abs=0.02)
+    assert 0.02 < ratio.std() < 0.08
+
+
 @pytest.mark.parametrize("name", ["paper", "wild", "fisheye"])
 def test_log_density_prefers_own_lenses(name):
     prior = lens_prior(name)
