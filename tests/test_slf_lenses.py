@@ -68,7 +68,7 @@ def test_fisheyes_are_wide_and_mostly_cut_above_and_below():
 
 
 def test_fisheyes_are_nearly_equidistant():
-    """r(θ) / (k1 θ) is 1 for f-theta lenses, at 1 rad 0.96 for equisolid ones, 1.09 for stereographic."""
+    """r(θ) / (k1 θ) is 1 for them, at 1 rad 0.96 if equisolid and 1.09 if stereographic."""
     k = lens_prior("fisheye").sample(np.random.default_rng(2), 2000).vector[:, :5]
     ratio = k.sum(axis=1) / k[:, 0]
     assert np.median(ratio) == pytest.approx(1.0, abs=0.02)
