@@ -12,6 +12,7 @@ from classical.camera import KannalaBrandt, nearest_kannala_brandt
 from classical.fit import (
     FALLS_SHORT,
     LARGEST_ERROR,
+    TAIL,
     LensPrior,
     fitted_curves,
     fused,
@@ -63,8 +64,8 @@ class LearnedEstimator:
         )
         heatmaps = tuple(p.lines.lineness for p in predictions if p.lines is not None)
         share = straight_share(curves)
-        if error > LARGEST_ERROR:
-            reason = f"the network is unsure: expected error {error:.1f} px"
+        if TAIL * error > LARGEST_ERROR:
+            reason = f"the network is unsure: the error may be {TAIL * error:.1f} px"
         elif not reaches:
             reason = FALLS_SHORT
         elif share < _LEAST_STRAIGHT:

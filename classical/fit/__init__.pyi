@@ -15,6 +15,7 @@ from .prior import LensPrior as LensPrior
 from .prior import fused as fused
 from .prior import generic_prior as generic_prior
 from .quality import LARGEST_ERROR as LARGEST_ERROR
+from .quality import TAIL as TAIL
 from .quality import predicted_error as predicted_error
 from .quality import straight_share as straight_share
 from .reach import FALLS_SHORT as FALLS_SHORT

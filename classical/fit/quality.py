@@ -15,7 +15,7 @@ LARGEST_ERROR = 3.0
 """Error under which answers that are ok should be, pixels of a 320 frame, f = 160 px."""
 
 TAIL = 3.0
-"""Times the predicted error of a fit that a true one may well be; few are more."""
+"""Times the predicted error that a true one may well be; few are more."""
 
 _FRAME_FOCAL = 160.0  # px: a frame 320 wide, 90° across
 _WIDEST = np.radians(60.0)
