@@ -209,7 +209,7 @@ def test_threads_do_not_change_the_answer(found, room):
     ("deviation", "off", "status", "reason"),
     [
         (1e-3, 0.0, "ok", "become straight"),
-        (0.008, 0.0, "degraded", "the error may be 7"),  # three times what is expected
+        (0.008, 0.0, "degraded", "the error may be 6.9 px"),  # three times what is expected
         (0.3, 0.0, "degraded", "unsure"),
         (1e-3, -0.45, "degraded", "of the curves' length only"),
     ],
