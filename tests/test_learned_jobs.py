@@ -115,6 +115,25 @@ def test_command_trains_on_the_scenes_it_was_given(
     assert torch.equal(batches[0].k, expected.k)
 
 
+def test_command_transposes_so_many_of_the_batches_made_ahead(
+    pack: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    found: list[float] = []
+
+    def listen(_network, _phase, source, *_arguments, **_options):
+        found.append(source.upright)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("learned.jobs.train", listen)
+    words = ["rong", "--data", str(pack), "--out", str(tmp_path), "--steps", "1", "--batch", "4"]
+    words += ["--size", "32", "--cpu", "--scenes", "1", "0", "0", "0", "--upright", "0.25"]
+    refused = CliRunner().invoke(train_command, words)
+    assert refused.exit_code == 2
+    assert "--upright is for samples made ahead" in refused.output
+    CliRunner().invoke(train_command, [*words, "--ahead", "8"])
+    assert found == [0.25]
+
+
 @pytest.mark.parametrize(
     ("scenes", "code", "message"),
     [

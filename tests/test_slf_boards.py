@@ -14,7 +14,7 @@ from learned.slf.optics import optics, pixel_rays, project
 from learned.slf.pack import Annotated, build_atlas
 from learned.slf.patterns import draw_patterns, draw_targets
 from learned.slf.priors import lens_prior
-from learned.slf.stream import SlfStream, StreamCfg
+from learned.slf.stream import Held, SlfStream, StreamCfg
 
 SIZE = 96
 
@@ -100,6 +100,27 @@ def test_boards_come_before_boxes_and_panoramas_alike(atlas, scenes):
     for row in range(4):
         assert not torch.equal(plain.image[row], held.image[row])
     assert not torch.equal(plain.line_map, held.line_map)
+
+
+def test_boards_hide_lines_of_their_own_samples_alone():
+    """Of three samples the first and the last have a board, of which the last one's is small."""
+    two = Boards(
+        torch.tensor([0, 0]),
+        torch.eye(3).expand(2, 3, 3),
+        torch.tensor([[0.4, 0.3], [0.1, 0.1]]),
+        torch.ones(2),
+    )
+    held = Held(two, torch.tensor([0, -1, 1]))
+    points = torch.tensor([[0.6, 0.0, 3.0], [0.0, 0.0, 3.0]]).repeat(3, 1)
+    row = torch.tensor([0, 0, 1, 1, 2, 2])
+    expected = torch.tensor([False, False, True, True, True, False])
+    assert torch.equal(held.seen(points, row, scene=None), expected)
+    nothing = held.seen(points, row, scene=lambda points, row: torch.zeros(len(row)).bool())
+    assert not nothing.any()
+    last = held.before(torch.tensor([1, 2]))
+    assert last.rows.tolist() == [1]
+    assert torch.equal(last.seen(points[2:], row[2:] - 1, scene=None), expected[2:])
+    assert held.before(torch.tensor([1])).boards is None
 
 
 def test_no_board_comes_before_a_photograph_as_a_plane(atlas):
