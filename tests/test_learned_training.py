@@ -9,7 +9,7 @@ from small_networks import SMALL, SMALL_CALIBRATION, SMALL_DLP, SMALL_RONG
 
 from learned.dlp import LinePerception
 from learned.larecnet import LaRecNet
-from learned.mirror import mean_estimate, mirrored
+from learned.mirror import mean_estimate, mirrored, transposed
 from learned.phases import (
     DivisionPhase,
     PerceptionPhase,
@@ -193,6 +193,19 @@ def test_mirrored_lens_rectifies_the_mirrored_picture(dims: tuple[int, ...]) -> 
     batch = mirrored(grids(5), dims)
     again = rectify_images(batch.image, batch.k)
     torch.testing.assert_close(again, batch.rectified, atol=1e-4, rtol=0)
+
+
+def test_transposed_lens_rectifies_the_transposed_picture() -> None:
+    """Off centre and with pixels that are not square, or an exchange of either went unseen."""
+    batch = grids(5)
+    k = batch.k.clone()
+    k[:, 6:] = torch.tensor([0.9, 0.06, -0.03])
+    batch = replace(batch, k=k, rectified=rectify_images(batch.image, k))
+    upright = transposed(batch)
+    again = rectify_images(upright.image, upright.k)
+    torch.testing.assert_close(upright.rectified, batch.rectified.transpose(2, 3))
+    torch.testing.assert_close(again, upright.rectified, atol=1e-3, rtol=0)
+    torch.testing.assert_close(transposed(upright).k, batch.k)
 
 
 @pytest.mark.parametrize("dims", [(2,), (3,), (2, 3)])

@@ -8,13 +8,20 @@ import torch
 from click.testing import CliRunner
 
 from learned.slf.atlas import BOARD, PANORAMA, PHOTOGRAPH, load_atlas
-from learned.slf.boards import Boards, board_segments, board_visibility, draw_boards, lay_boards
+from learned.slf.boards import (
+    Boards,
+    Held,
+    board_segments,
+    board_visibility,
+    draw_boards,
+    lay_boards,
+)
 from learned.slf.commands import synthesize
 from learned.slf.optics import optics, pixel_rays, project
 from learned.slf.pack import Annotated, build_atlas
 from learned.slf.patterns import draw_patterns, draw_targets
 from learned.slf.priors import lens_prior
-from learned.slf.stream import Held, SlfStream, StreamCfg
+from learned.slf.stream import SlfStream, StreamCfg
 
 SIZE = 96
 
@@ -121,6 +128,16 @@ def test_boards_hide_lines_of_their_own_samples_alone():
     assert last.rows.tolist() == [1]
     assert torch.equal(last.seen(points[2:], row[2:] - 1, scene=None), expected[2:])
     assert held.before(torch.tensor([1])).boards is None
+
+
+@pytest.mark.parametrize("share", [0.0, 1.0])
+def test_which_samples_have_a_board_is_told_where_the_pictures_are(atlas, share):
+    """On a GPU, too, where samples are numbered; `meta` stands in for one."""
+    config = StreamCfg(board_share=share)
+    elsewhere = dataclasses.replace(atlas, texels=atlas.texels.to("meta"))
+    held = SlfStream(elsewhere, 1, 4, SIZE, config)._held(np.array([0, 1, 2]), 0)
+    assert held.number.device.type == "meta"
+    assert (held.boards is None) == (share == 0.0)
 
 
 def test_no_board_comes_before_a_photograph_as_a_plane(atlas):

@@ -4,6 +4,8 @@ A board hides what is behind it, in boxes as in panoramas. Its lines are straigh
 others, but they cluster where it is held, and what the rest of the scene tells is at the rim.
 """
 
+from __future__ import annotations
+
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,7 +16,7 @@ from torch import Tensor
 
 from learned.slf.atlas import Atlas, sample
 from learned.slf.optics import Optics
-from learned.slf.strokes import Segments3D, ragged_arange
+from learned.slf.strokes import Segments3D, Visibility, ragged_arange
 
 _HALF_ANGLE = (np.radians(9.0), np.radians(50.0))
 _OFF_AXIS = np.radians(28.0)
@@ -47,9 +49,56 @@ class Boards:
         """Number of boards."""
         return len(self.picture)
 
-    def __getitem__(self, rows: Tensor) -> "Boards":
+    def __getitem__(self, rows: Tensor) -> Boards:
         """Some of the boards."""
         return Boards(**{name: value[rows] for name, value in vars(self).items()})
+
+
+@dataclass(frozen=True)
+class Held:
+    """Which of some samples have a board before the lens.
+
+    Attributes:
+        boards: The boards, or None where no sample has one.
+        number: Board of each sample, rising, or -1.
+    """
+
+    boards: Boards | None
+    number: Int[Tensor, " b"]
+
+    @property
+    def rows(self) -> Int[Tensor, " n"]:
+        """The samples that have one, in the order of the boards."""
+        return torch.nonzero(self.number >= 0)[:, 0]
+
+    def before(self, rows: Int[Tensor, " n"]) -> Held:
+        """Those of some of the samples."""
+        number = self.number[rows]
+        there = number >= 0
+        if self.boards is None or not there.any():
+            return Held(None, torch.full_like(number, -1))
+        again = torch.where(there, torch.cumsum(there, 0) - 1, -1)
+        return Held(self.boards[number[there]], again)
+
+    def seen(
+        self, points: Float[Tensor, "n 3"], row: Int[Tensor, " n"], *, scene: Visibility | None
+    ) -> Bool[Tensor, " n"]:
+        """Which points of the scene neither it nor a board hides."""
+        whole = torch.ones(len(points), dtype=torch.bool, device=points.device)
+        visible = whole if scene is None else scene(points, row)
+        if self.boards is not None:
+            number = self.number[row]
+            at = torch.nonzero(number >= 0)[:, 0]
+            visible[at] &= board_visibility(self.boards, points[at], number[at])
+        return visible
+
+    def lay(self, atlas: Atlas, lens: Optics, rays: Tensor, picture: Tensor) -> None:
+        """Draw the boards over the samples' pictures in [0, 255], in place."""
+        if self.boards is not None:
+            rows = self.rows
+            some = picture[rows]
+            lay_boards(atlas, self.boards, lens[rows], rays[rows], some)
+            picture[rows] = some
 
 
 def draw_boards(

@@ -12,18 +12,12 @@ from itertools import pairwise
 
 import numpy as np
 import torch
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float
 from torch import Tensor
 
 from learned.slf.atlas import BOARD, PANORAMA, PATTERN, PHOTOGRAPH, ROOM, Atlas
 from learned.slf.batch import SlfBatch
-from learned.slf.boards import (
-    Boards,
-    board_segments,
-    board_visibility,
-    draw_boards,
-    lay_boards,
-)
+from learned.slf.boards import Held, board_segments, draw_boards
 from learned.slf.boxes import Boxes, box_segments, box_visibility, render_boxes
 from learned.slf.layouts import LayoutCfg, PoseCfg, draw_boxes, draw_rotations
 from learned.slf.lenses import LensBatch, concatenated
@@ -61,53 +55,6 @@ class Scenery:
     content: Content
     segments: Segments3D
     visibility: Visibility | None = None
-
-
-@dataclass(frozen=True)
-class Held:
-    """Which of some samples have a board before the lens.
-
-    Attributes:
-        boards: The boards, or None where no sample has one.
-        number: Board of each sample, rising, or -1.
-    """
-
-    boards: Boards | None
-    number: Int[Tensor, " b"]
-
-    @property
-    def rows(self) -> Int[Tensor, " n"]:
-        """The samples that have one, in the order of the boards."""
-        return torch.nonzero(self.number >= 0)[:, 0]
-
-    def before(self, rows: Int[Tensor, " n"]) -> Held:
-        """Those of some of the samples."""
-        number = self.number[rows]
-        there = number >= 0
-        if self.boards is None or not there.any():
-            return Held(None, torch.full_like(number, -1))
-        again = torch.where(there, torch.cumsum(there, 0) - 1, -1)
-        return Held(self.boards[number[there]], again)
-
-    def seen(
-        self, points: Float[Tensor, "n 3"], row: Int[Tensor, " n"], *, scene: Visibility | None
-    ) -> Bool[Tensor, " n"]:
-        """Which points of the scene neither it nor a board hides."""
-        whole = torch.ones(len(points), dtype=torch.bool, device=points.device)
-        visible = whole if scene is None else scene(points, row)
-        if self.boards is not None:
-            number = self.number[row]
-            at = torch.nonzero(number >= 0)[:, 0]
-            visible[at] &= board_visibility(self.boards, points[at], number[at])
-        return visible
-
-    def lay(self, atlas: Atlas, lens: Optics, rays: Tensor, picture: Tensor) -> None:
-        """Draw the boards over the samples' pictures in [0, 255], in place."""
-        if self.boards is not None:
-            rows = self.rows
-            some = picture[rows]
-            lay_boards(atlas, self.boards, lens[rows], rays[rows], some)
-            picture[rows] = some
 
 
 @dataclass(frozen=True)
@@ -254,17 +201,12 @@ class SlfStream:
         """Boards before some of the samples; their random numbers are nobody else's."""
         rng = np.random.default_rng([self.seed, 3, first])
         chosen = (scene != _PLANES) & (rng.random(len(scene)) < self.config.board_share)
-        if not chosen.any():
-            return Held(None, torch.full((len(scene),), -1))
-        boards = draw_boards(
-            rng,
-            self.atlas,
-            self.atlas.of_kind(BOARD),
-            self.atlas.of_kind(PHOTOGRAPH),
-            int(chosen.sum()),
-        )
-        number = torch.from_numpy(np.where(chosen, np.cumsum(chosen) - 1, -1))
-        return Held(boards, number.to(boards.picture.device))
+        number = np.where(chosen, np.cumsum(chosen) - 1, -1)
+        boards = None
+        if chosen.any():
+            targets, photographs = (self.atlas.of_kind(kind) for kind in (BOARD, PHOTOGRAPH))
+            boards = draw_boards(rng, self.atlas, targets, photographs, int(chosen.sum()))
+        return Held(boards, torch.from_numpy(number).to(self.atlas.texels.device))
 
     def _runs(
         self, scenery: Scenery, boards: Held, lens: Optics
