@@ -135,7 +135,8 @@ def test_which_samples_have_a_board_is_told_where_the_pictures_are(atlas, share)
     """On a GPU, too, where samples are numbered; `meta` stands in for one."""
     config = StreamCfg(board_share=share)
     elsewhere = dataclasses.replace(atlas, texels=atlas.texels.to("meta"))
-    held = SlfStream(elsewhere, 1, 4, SIZE, config)._held(np.array([0, 1, 2]), 0)
+    stream = SlfStream(elsewhere, 1, 4, SIZE, config)
+    held = stream._held(np.array([0, 1, 2]), 0)  # pyright: ignore[reportPrivateUsage]
     assert held.number.device.type == "meta"
     assert (held.boards is None) == (share == 0.0)
 
