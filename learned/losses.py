@@ -31,6 +31,10 @@ class LossCfg:
         shape: Weight of the shape loss (ours; 0 = none). The scale of a picture is often nowhere
             in it, and its error drowns in L_geo what lines do tell.
         shape_scale: s of the shape loss, as `geo_scale` of L_geo.
+        projection: Weight of the projection loss (ours; 0 = none). On the rectified plane nothing
+            is told of a lens beyond some 65°, and a field of view taken for too wide costs more
+            than one taken for too narrow; on the fisheye picture neither is so.
+        projection_scale: s of the projection loss, as `geo_scale` of L_geo.
         pix: λ_pix of Eq. loss (the ablation without L_pix sets 0).
         fused: λ_fus of Eq. p_loss.
         glob: λ_glo of Eq. p_loss.
@@ -47,6 +51,8 @@ class LossCfg:
     geo_scale: float = 0.0
     shape: float = 0.0
     shape_scale: float = 0.0
+    projection: float = 0.0
+    projection_scale: float = 0.0
     pix: float = 1.0
     fused: float = 2.0
     glob: float = 1.0
@@ -200,6 +206,26 @@ def shape_loss(
         scale: s of `LossCfg.shape_scale`.
     """
     return _logarithmic(aligned_distances(predicted, target, valid), scale).mean()
+
+
+def projection_loss(
+    predicted: Float[Tensor, "b n 2"],
+    target: Float[Tensor, "b n 2"],
+    valid: Bool[Tensor, "b n"],
+    *,
+    scale: float = 0.0,
+) -> Float[Tensor, ""]:
+    """Ours: how far from its pixel k̂ images the true ray of a pixel, out to the rim.
+
+    Args:
+        predicted: Where k̂ images the rays, in half widths.
+        target: The pixels, in half widths.
+        valid: Pixels that count: those the picture shows.
+        scale: s of `LossCfg.projection_scale`.
+    """
+    squares = (predicted - target).square().sum(-1)
+    distance = (squares + _SMALLEST_SQUARE).sqrt() * valid
+    return _logarithmic(distance.sum(1) / valid.sum(1).clamp_min(1), scale).mean()
 
 
 def aligned_distances(

@@ -25,11 +25,12 @@ from learned.losses import (
     local_loss,
     parameter_loss,
     pixel_loss,
+    projection_loss,
     shape_loss,
 )
 from learned.parameters import FREE
 from learned.presets import Preset
-from learned.rectification import pixel_grid, rectify_images, undistort
+from learned.rectification import pixel_grid, rectify_images, reprojected, undistort
 from learned.rong import RongNet, division_parameter
 from learned.slf.batch import SlfBatch
 
@@ -94,15 +95,16 @@ class RectificationPhase:
         self.stride = preset.geo_stride
 
     def loss(self, module: nn.Module, batch: SlfBatch) -> tuple[Tensor, dict[str, Tensor]]:
-        """λ_para L_para + λ_geo L_geo + λ_pix L_pix; ours: shape, likelihood of the covariance."""
+        """λ_para L_para + λ_geo L_geo + λ_pix L_pix; ours: shape, projection, spread."""
         image = batch.image.contiguous(memory_format=torch.channels_last)
         out: LarecnetOutput = module(image, seen=batch.seen, rectify=self.cfg.pix > 0)
         net = _inner(module)
         parts = {"para": self._parameters(net, out, batch)}
         total = self.cfg.para * parts["para"]
-        if self.cfg.geo or self.cfg.shape:
-            parts["geo"], parts["shape"] = self._geometry(out.k, batch)
-            total = total + self.cfg.geo * parts["geo"] + self.cfg.shape * parts["shape"]
+        if self.cfg.geo or self.cfg.shape or self.cfg.projection:
+            geometry = self._geometry(out.k, batch)
+            parts |= geometry
+            total = total + sum(getattr(self.cfg, name) * part for name, part in geometry.items())
         if self.cfg.pix:
             parts["pix"] = self._pixels(out, batch, net.cfg.pixel_stride)
             total = total + self.cfg.pix * parts["pix"]
@@ -128,8 +130,8 @@ class RectificationPhase:
             * local_loss(out.estimate.local, target[:, :5], omega[:5], huber=self.cfg.huber)
         )
 
-    def _geometry(self, k: Tensor, batch: SlfBatch) -> tuple[Tensor, Tensor]:
-        """L_geo and the shape loss on every `stride`-th pixel; a cell with a line counts as Ω⁺."""
+    def _geometry(self, k: Tensor, batch: SlfBatch) -> dict[str, Tensor]:
+        """Losses on every `stride`-th pixel, by weight; a cell with a line counts as Ω⁺."""
         height, width = batch.image.shape[-2:]
         points = pixel_grid(height, width, stride=self.stride, device=k.device)
         points = points.expand(len(k), -1, -1)
@@ -140,7 +142,8 @@ class RectificationPhase:
             if self.stride > 1
             else batch.line_map
         )
-        valid = theta <= batch.theta_max.clamp(max=_THETA_COUNTED)[:, None]
+        shown = theta <= batch.theta_max[:, None]
+        valid = shown & (theta <= _THETA_COUNTED)
         geo = geometric_loss(
             predicted,
             target,
@@ -149,7 +152,16 @@ class RectificationPhase:
             line_weight=self.cfg.line_weight,
             scale=self.cfg.geo_scale,
         )
-        return geo, shape_loss(predicted, target, valid, scale=self.cfg.shape_scale)
+        return {
+            "geo": geo,
+            "shape": shape_loss(predicted, target, valid, scale=self.cfg.shape_scale),
+            "projection": projection_loss(
+                reprojected(points, theta, batch.k, k),
+                points,
+                shown,
+                scale=self.cfg.projection_scale,
+            ),
+        }
 
     def _pixels(self, out: LarecnetOutput, batch: SlfBatch, stride: int) -> Tensor:
         assert out.rectified is not None

@@ -86,6 +86,29 @@ def undistort(
     return plane * scale[..., None], theta
 
 
+def reprojected(
+    points: Float[Tensor, "b n 2"],
+    theta: Float[Tensor, "b n"],
+    k: Float[Tensor, "b 9"],
+    other: Float[Tensor, "b 9"],
+) -> Float[Tensor, "b n 2"]:
+    """Where another lens images the rays that a lens has at pixels; past 90°, too.
+
+    Args:
+        points: Fisheye points, centred, in half widths.
+        theta: Their incident angles under `k`, from `undistort`.
+        k: The lens of the points.
+        other: The other lens, to which the result has gradients.
+
+    Returns:
+        Fisheye points, centred, in half widths.
+    """
+    plane = (points - k[:, None, 7:9]) / k[:, None, 5:7]
+    length = plane.square().sum(-1).clamp_min(_SMALLEST_RADIUS).sqrt()
+    scale = radius(theta, other[:, :5]) / length
+    return plane * scale[..., None] * other[:, None, 5:7] + other[:, None, 7:9]
+
+
 def rectify_images(
     images: Float[Tensor, "b c h w"],
     k: Float[Tensor, "b 9"],

@@ -13,9 +13,11 @@ from learned.losses import (
     local_loss,
     parameter_loss,
     pixel_loss,
+    projection_loss,
     ridge_target,
     shape_loss,
 )
+from learned.rectification import pixel_grid, reprojected, undistort
 
 
 def test_line_loss_weights_each_side_by_the_other_sides_share() -> None:
@@ -90,6 +92,29 @@ def test_shape_loss_of_the_truth_has_a_gradient() -> None:
     shape_loss(predicted, predicted.detach(), everywhere).backward()
     assert predicted.grad is not None
     assert predicted.grad.isfinite().all()
+
+
+def test_projection_loss_is_the_mean_distance_of_what_is_shown() -> None:
+    target = torch.tensor([[[1.0, 0.0], [0.0, 1.0], [9.0, 9.0]]])
+    predicted = target + torch.tensor([[[0.3, 0.4], [0.0, -0.1], [5.0, 5.0]]])
+    shown = torch.tensor([[True, True, False]])
+    assert projection_loss(predicted, target, shown).item() == pytest.approx(0.3, abs=1e-4)
+    got = projection_loss(predicted, target, shown, scale=0.1)
+    assert got.item() == pytest.approx(0.1 * math.log(1 + 3), abs=1e-4)
+
+
+def test_projection_loss_is_alike_on_a_field_too_wide_and_one_too_narrow() -> None:
+    points = pixel_grid(64, 64)[None]
+    true = torch.tensor([[0.6, 0.0, 0.0, 0.0, 0.0, 1.0, 1.0, 0.0, 0.0]])
+    _, theta = undistort(points, true)
+    shown = theta <= math.radians(100)
+    lost = []
+    for k1 in (0.54, 0.66):  # r(θ) a tenth shorter and a tenth longer
+        other = torch.tensor([[k1, *true[0, 1:]]])
+        there = reprojected(points, theta, true, other)
+        lost.append(projection_loss(there, points, shown).item())
+    assert lost[0] == pytest.approx(lost[1], rel=1e-3)
+    assert lost[0] == pytest.approx(0.1 * points[shown].norm(dim=-1).mean().item(), rel=1e-3)
 
 
 def test_pixel_loss_divides_by_the_uncertainty_and_adds_its_logarithm() -> None:

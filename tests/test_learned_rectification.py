@@ -4,7 +4,13 @@ import pytest
 import torch
 
 from classical.camera import KannalaBrandt, Pinhole
-from learned.rectification import distort, pixel_grid, rectify_images, undistort
+from learned.rectification import (
+    distort,
+    pixel_grid,
+    rectify_images,
+    reprojected,
+    undistort,
+)
 
 LENSES = {
     "paper": (1.3, -0.08, 0.01, 0.002, -0.001, 1.0, 1.0, 0.0, 0.0),
@@ -45,6 +51,20 @@ def test_distort_equals_the_classical_camera(lens: torch.Tensor) -> None:
     both = valid & inside[0].numpy()
     assert both.mean() > 0.9
     np.testing.assert_allclose(pixels[both], expected[both], atol=1e-6)
+
+
+def test_reprojected_goes_through_the_rays_of_the_classical_cameras(lens: torch.Tensor) -> None:
+    width, height = 96, 64
+    other = torch.tensor([LENSES["shifted"]], dtype=torch.float64)
+    points = pixel_grid(height, width).double()[None] * 0.7
+    _, theta = undistort(points, lens)
+    offset = [(width - 1) / 2, (height - 1) / 2]
+    rays, seen = _camera(lens, width, height).unproject(points[0].numpy() * (width / 2) + offset)
+    expected, valid = _camera(other, width, height).project(rays)
+    got = reprojected(points, theta, lens, other)[0].numpy() * (width / 2) + offset
+    both = seen & valid
+    assert both.mean() > 0.9
+    np.testing.assert_allclose(got[both], expected[both], atol=1e-5)
 
 
 def test_layer_agrees_with_the_classical_warp_to_a_twentieth_pixel(lens: torch.Tensor) -> None:
