@@ -40,7 +40,7 @@ from hybrid.result import Calibration
 from learned.predictor import Predictor
 
 _NETWORK = "network"
-_DOUBT = Doubt(least=2.0, most=8.0, field=4.0, unit=2.0, centring=0.0125)
+_DOUBT = Doubt(least=1.5, most=8.0, field=4.0, unit=2.0, centring=0.0125)
 Answer = TypeVar("Answer")
 
 
