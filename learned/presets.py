@@ -131,7 +131,8 @@ def ablation(base: Preset, name: str) -> Preset:
 
     BL1 sees the picture alone and BL2 the heatmap alone; BL3 sees both; BL4 adds the local branch;
     BL5 adds L_geo; BL6 adds L_pix with its uncertainty and is the whole network. Where the preset
-    feeds on lineness, it comes with the heatmap. None has the shape loss, which is not the paper's.
+    feeds on lineness, it comes with the heatmap. None has the shape or the projection loss, which
+    are not the paper's.
 
     Args:
         base: Preset to vary.
@@ -155,6 +156,7 @@ def ablation(base: Preset, name: str) -> Preset:
         base.loss,
         geo=base.loss.geo if level >= 5 else 0.0,
         shape=0.0,
+        projection=0.0,
         pix=base.loss.pix if level >= 6 else 0.0,
     )
     network = replace(base.network, calibration=calibration)

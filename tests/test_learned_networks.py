@@ -275,7 +275,7 @@ def test_each_ablation_adds_one_thing(base: Preset) -> None:
         variant = ablation(base, name)
         calibration, loss = variant.network.calibration, variant.loss
         seen.append((calibration.inputs, calibration.multiscale, loss.geo > 0, loss.pix > 0))
-        assert loss.shape == 0  # not the paper's
+        assert loss.shape == loss.projection == 0  # not the paper's
     both = base.network.calibration.inputs
     assert both[0] == "image"
     assert seen == [
