@@ -223,9 +223,7 @@ def projection_loss(
         valid: Pixels that count: those the picture shows.
         scale: s of `LossCfg.projection_scale`.
     """
-    squares = (predicted - target).square().sum(-1)
-    distance = (squares + _SMALLEST_SQUARE).sqrt() * valid
-    return _logarithmic(distance.sum(1) / valid.sum(1).clamp_min(1), scale).mean()
+    return _logarithmic(_mean_distances(predicted, target, valid), scale).mean()
 
 
 def aligned_distances(
@@ -247,9 +245,16 @@ def aligned_distances(
         for points in (predicted, target)
     )
     scale = (here * there).sum((1, 2)) / here.square().sum((1, 2)).clamp_min(_SMALLEST_SQUARE)
-    squares = (scale[:, None, None] * here - there).square().sum(-1)
+    return _mean_distances(scale[:, None, None] * here, there, valid)
+
+
+def _mean_distances(
+    predicted: Float[Tensor, "b n 2"], target: Float[Tensor, "b n 2"], valid: Bool[Tensor, "b n"]
+) -> Float[Tensor, " b"]:
+    """Mean distance per picture of the points that count."""
+    squares = (predicted - target).square().sum(-1)
     distance = (squares + _SMALLEST_SQUARE).sqrt() * valid
-    return distance.sum(1) / count[:, 0, 0]
+    return distance.sum(1) / valid.sum(1).clamp_min(1)
 
 
 def _logarithmic(loss: Tensor, scale: float) -> Tensor:

@@ -79,8 +79,7 @@ def undistort(
         points: Rectified points, centred, in half widths.
         theta: Incident angles before the limit, in radians.
     """
-    plane = (points - k[:, None, 7:9]) / k[:, None, 5:7]
-    length = plane.square().sum(-1).clamp_min(_SMALLEST_RADIUS).sqrt()
+    plane, length = _plane(points, k)
     theta, _ = theta_from_radius(length, k[:, :5], monotone_limit(k[:, :5]))
     scale = focal * torch.tan(theta.clamp(max=theta_limit)) / length
     return plane * scale[..., None], theta
@@ -103,10 +102,15 @@ def reprojected(
     Returns:
         Fisheye points, centred, in half widths.
     """
-    plane = (points - k[:, None, 7:9]) / k[:, None, 5:7]
-    length = plane.square().sum(-1).clamp_min(_SMALLEST_RADIUS).sqrt()
+    plane, length = _plane(points, k)
     scale = radius(theta, other[:, :5]) / length
     return plane * scale[..., None] * other[:, None, 5:7] + other[:, None, 7:9]
+
+
+def _plane(points: Tensor, k: Tensor) -> tuple[Tensor, Tensor]:
+    """Fisheye points in units of r(θ), around the principal point, and their distances from it."""
+    plane = (points - k[:, None, 7:9]) / k[:, None, 5:7]
+    return plane, plane.square().sum(-1).clamp_min(_SMALLEST_RADIUS).sqrt()
 
 
 def rectify_images(

@@ -163,19 +163,36 @@ def test_geo_scale_of_the_preset_reaches_the_loss() -> None:
     assert geo(0.3) == pytest.approx(0.3 * math.log(1 + geo(0.0) / 0.3), rel=1e-4)
 
 
-def test_shape_counts_by_its_weight() -> None:
+@pytest.mark.parametrize("name", ["geo", "shape", "projection"])
+def test_losses_of_the_geometry_count_by_their_weights(name: str) -> None:
     torch.manual_seed(0)
     network, batch = LaRecNet(SMALL).eval(), grids(1, batch=1)
 
-    def total(shape: float) -> tuple[float, float]:
-        cfg = replace(COMPACT.loss, shape=shape)
+    def total(weight: float) -> tuple[float, float]:
+        cfg = replace(COMPACT.loss, **{name: weight})
         phase = RectificationPhase(replace(COMPACT, network=SMALL, loss=cfg))
         loss, parts = phase.loss(network, batch)
-        return loss.item(), parts["shape"].item()
+        return loss.item(), parts[name].item()
 
     (without, part), (with_it, _) = total(0.0), total(60.0)
     assert part > 0
     assert with_it - without == pytest.approx(60.0 * part, rel=1e-4)
+
+
+def test_projection_alone_counts_what_is_beyond_the_rectified_plane() -> None:
+    torch.manual_seed(0)
+    network = LaRecNet(SMALL).eval()
+    wide = torch.tensor([[0.6, 0.0, 0.0, 0.0, 0.0, 1.0, 1.0, 0.0, 0.0]])
+    phase = RectificationPhase(replace(COMPACT, network=SMALL))
+
+    def parts(theta_max: float) -> dict[str, torch.Tensor]:
+        batch = replace(grids(1, batch=1), k=wide, theta_max=torch.tensor([theta_max]))
+        return phase.loss(network, batch)[1]
+
+    inner, whole = parts(math.radians(66)), parts(math.radians(100))
+    assert whole["geo"].item() == inner["geo"].item()
+    assert whole["shape"].item() == inner["shape"].item()
+    assert whole["projection"].item() > 1.05 * inner["projection"].item()
 
 
 def test_reprojection_error_is_zero_for_the_truth_and_a_known_value_for_a_shift() -> None:
