@@ -67,10 +67,10 @@ class ClassicalEstimator:
 
 def too_small(pictures: Sequence[UInt8[ndarray, "h w 3"]]) -> Calibration | None:
     """The answer where pictures have no room for a line, else None."""
-    height, width = pictures[0].shape[:2]
-    if min(height, width) >= _MIN_SIDE:
+    shorter = min(pictures[0].shape[:2])
+    if shorter >= _MIN_SIDE:
         return None
-    reason = f"a picture of {width}x{height} pixels is too small to show lines"
+    reason = f"a picture with a side of {shorter} pixels is too small to show lines"
     return Calibration(None, tuple(() for _ in pictures), Quality(), "failed", reason)
 
 

@@ -36,11 +36,14 @@ class Method:
         name: What the user writes.
         title: What it does, in a few words.
         factory: "module:name" of a function from a RectifyConfig to an Estimator.
+        is_oriented: Whether all turned and mirrored copies of a picture look the same to it; what
+            others published sees pictures as they come.
     """
 
     name: str
     title: str
     factory: str
+    is_oriented: bool = False
 
 
 METHODS = (
@@ -48,13 +51,15 @@ METHODS = (
         "hybrid",
         "networks and line fit",
         "hybrid.fusion:HybridEstimator",
+        is_oriented=True,
     ),
     Method(
         "classical",
         "line fit alone",
         "hybrid.estimators:ClassicalEstimator",
+        is_oriented=True,
     ),
-    Method("learned", "LaRecNet alone", "hybrid.networks:LearnedEstimator"),
+    Method("learned", "LaRecNet alone", "hybrid.networks:LearnedEstimator", is_oriented=True),
     Method(
         "aleman-flores",
         "division model",
@@ -87,4 +92,10 @@ def make_estimator(config: RectifyConfig) -> Estimator:
     check_method(config.method)
     row = next(method for method in METHODS if method.name == config.method)
     module, name = row.factory.split(":")
-    return getattr(import_module(module), name)(config)
+    estimator: Estimator = getattr(import_module(module), name)(config)
+    if not row.is_oriented:
+        return estimator
+    from hybrid.orientation import OrientedEstimator
+
+    # a field of view is given for the width, so that must stay the width
+    return OrientedEstimator(estimator, keeps_width=config.camera_fov is not None)
