@@ -5,8 +5,9 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from classical.camera import KannalaBrandt
-from classical.fit import FitConfig, fit_lens, scale_from_directions
-from classical.fit.vanishing import rescaled
+from classical.fit import FitConfig, fit_lens, generic_prior, scale_from_directions
+from classical.fit.scale import fused_scale, scale_row, scale_tangent, scale_variance
+from classical.fit.vanishing import ScaleEstimate, rescaled
 from classical.lines import Curve
 
 LENS = KannalaBrandt.centred(np.array([0.8, 0.01, -0.005, 0.0, 0.0]), 640, 480)
@@ -109,3 +110,25 @@ def test_each_picture_votes_with_its_own_directions() -> None:
     assert fit.camera is not None
     assert fit.scale_source == "vanishing points"
     assert fit.camera.k[0] == pytest.approx(0.8, rel=0.04)
+
+
+@pytest.mark.parametrize("k1", [0.5, 0.8, 1.3])
+def test_the_scale_moves_by_one_along_its_own_direction(k1: float) -> None:
+    lens = KannalaBrandt.centred(k1 * np.array([1, -0.03, 0.01, 0, 0]), 640, 480)
+    assert scale_row(lens) @ scale_tangent(lens) == pytest.approx(1.0, abs=0.01)
+
+
+def test_the_scale_is_fused_by_its_whole_variance() -> None:
+    """What other numbers leave open of it counts, and the covariance stays one."""
+    covariance = generic_prior(0.8, 640, 480).covariance * 0.3**2
+    before = scale_variance(BOX_LENS, covariance)
+    votes = ScaleEstimate(0.1, float(np.sqrt(before)), np.eye(3), np.ones(3))
+    fused = fused_scale(BOX_LENS, covariance, [votes])
+    assert fused is not None
+    assert fused.gain == pytest.approx(0.5)
+    assert scale_variance(BOX_LENS, fused.covariance) == pytest.approx(before / 2)
+    free = [0, 1, 2, 3, 4, 6, 7, 8]
+    assert np.linalg.eigvalsh(fused.covariance[np.ix_(free, free)]).min() > 0
+    tangent = scale_tangent(BOX_LENS)[free]
+    held = 1 / (tangent @ np.linalg.solve(covariance[np.ix_(free, free)], tangent))
+    assert before > 1.5 * held

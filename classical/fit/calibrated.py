@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Float
 
 from classical.camera import KannalaBrandt
-from classical.fit.scale import scale_tangent, scale_variance
+from classical.fit.scale import scale_row, scale_tangent
 
 _CAUTION = 2.5  # expected errors of the shape over those that come true
 
@@ -25,6 +25,6 @@ def calibrated(
         camera: The fit.
         covariance: Of its vector.
     """
-    tangent = scale_tangent(camera)
-    scale = np.outer(tangent, tangent) * scale_variance(tangent, covariance)
-    return scale + (covariance - scale) / _CAUTION**2
+    scale = np.outer(scale_tangent(camera), scale_row(camera))
+    shrink = scale + (np.eye(9) - scale) / _CAUTION
+    return shrink @ covariance @ shrink.T

@@ -32,7 +32,7 @@ from classical.fit.quality import judge, predicted_error
 from classical.fit.result import LensFit
 from classical.fit.rounds import Known, Settled, settle
 from classical.fit.samples import CurveSamples
-from classical.fit.scale import held_scale, scale_source, scale_tangent, scale_variance
+from classical.fit.scale import held_scale, scale_source, scale_variance
 from classical.fit.search import search
 from classical.fit.straightness import straightness
 from classical.lines import Curve, ImageCircle, join_curves, trace_further
@@ -293,7 +293,7 @@ def _report(
     if best.note and (status == "ok" or (status == "degraded" and best.note == UNTOLD)):
         status = "ok" if best.note == STRAIGHT else "degraded"
         reason = best.note
-    deviation = float(np.sqrt(scale_variance(scale_tangent(best.camera), covariance)))
+    deviation = float(np.sqrt(scale_variance(best.camera, covariance)))
     return LensFit(
         best.camera,
         covariance,

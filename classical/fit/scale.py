@@ -14,7 +14,7 @@ from jaxtyping import Float
 
 from classical.camera import KannalaBrandt
 from classical.fit.observations import Observation
-from classical.fit.prior import FREE, LOG_STRENGTH_DEVIATION
+from classical.fit.prior import LOG_STRENGTH_DEVIATION
 from classical.fit.quality import rectified_grid
 from classical.fit.rounds import Known, Settled
 from classical.fit.samples import CurveSamples
@@ -47,12 +47,6 @@ def scale_tangent(camera: KannalaBrandt) -> Float[np.ndarray, " 9"]:
     return (ahead.to_vector() - behind.to_vector()) / (2 * _STEP)
 
 
-def scale_variance(tangent: Float[np.ndarray, " 9"], covariance: Float[np.ndarray, "9 9"]) -> float:
-    """Variance of log s with everything else as the fit found it."""
-    free = covariance[np.ix_(FREE, FREE)]
-    return float(1 / (tangent[FREE] @ np.linalg.solve(free, tangent[FREE])))
-
-
 def scale_source(settled: Settled, known: Known) -> str:
     """What told the most about the scale of a fit, before vanishing points are asked."""
     tangent = scale_tangent(settled.camera)
@@ -64,12 +58,28 @@ def scale_source(settled: Settled, known: Known) -> str:
     return best
 
 
-def held_scale(camera: KannalaBrandt) -> Observation:
-    """The size of a camera's rectified picture, to hold a further fit to that cannot tell it."""
+def scale_row(camera: KannalaBrandt) -> Float[np.ndarray, " 9"]:
+    """∂(the relative size of the rectified picture)/∂camera; 1 along `scale_tangent`.
+
+    The tangent is where the lens moves if only its scale does. This is how far the scale moves
+    with any change of the lens, in those parts of its shape, too, that no curve tells.
+    """
     positions, by_camera = rectified_grid(camera)
     outward = positions - positions.mean(axis=0)
-    row = np.einsum("nd,ndj->j", outward, by_camera)[None] / (outward**2).sum()
-    row[0, _M_U] = 0.0
+    row = np.einsum("nd,ndj->j", outward, by_camera) / (outward**2).sum()
+    row[_M_U] = 0.0
+    return row
+
+
+def scale_variance(camera: KannalaBrandt, covariance: Float[np.ndarray, "9 9"]) -> float:
+    """Variance of log s, whatever else of the lens moves with it."""
+    row = scale_row(camera)
+    return float(row @ covariance @ row)
+
+
+def held_scale(camera: KannalaBrandt) -> Observation:
+    """The size of a camera's rectified picture, to hold a further fit to that cannot tell it."""
+    row = scale_row(camera)[None]
     value = row @ camera.normalized().to_vector()
     return Observation("the scale so far", row, value, np.array([[_HELD_DEVIATION**2]]))
 
@@ -106,17 +116,23 @@ def fused_scale(
     covariance: Float[np.ndarray, "9 9"],
     estimates: Sequence[ScaleEstimate],
 ) -> FusedScale | None:
-    """One Kalman update along the scale by the estimates of several pictures; None without any."""
+    """One Kalman update of the scale by the estimates of several pictures; None without any.
+
+    The lens is scaled and its shape stays. How sure the fit is of its scale is told by the whole
+    covariance: with all other numbers held, as along the tangent, it would seem twice as sure, and
+    many pictures of one lens would seem to tell what no line tells.
+    """
     if not estimates:
         return None
     precisions = np.array([estimate.deviation**-2 for estimate in estimates])
     scales = np.array([estimate.log_scale for estimate in estimates])
-    tangent = scale_tangent(camera)
-    variance = scale_variance(tangent, covariance)
-    gain = variance / (variance + 1 / precisions.sum())
+    across = covariance @ scale_row(camera)
+    variance = scale_variance(camera, covariance)
+    spread = variance + 1 / precisions.sum()
+    gain = variance / spread
     log_scale = float(precisions @ scales / precisions.sum())
     return FusedScale(
         rescaled(camera, float(np.exp(gain * log_scale))),
-        covariance - np.outer(tangent, tangent) * variance * gain,
+        covariance - np.outer(across, across) / spread,
         gain,
     )
