@@ -137,10 +137,11 @@ class KannalaBrandt:
 
     def normalized(self) -> KannalaBrandt:
         """The same camera in the gauge m_u = width / 2."""
-        scale = self.m_u / (self.width / 2)
+        half = self.width / 2
+        scale = self.m_u / half
         return KannalaBrandt(
             self.k * scale,
-            self.m_u / scale,
+            half,
             self.m_v / scale,
             self.u0,
             self.v0,
