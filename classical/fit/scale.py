@@ -14,7 +14,7 @@ from jaxtyping import Float
 
 from classical.camera import KannalaBrandt
 from classical.fit.observations import Observation
-from classical.fit.prior import LOG_STRENGTH_DEVIATION
+from classical.fit.prior import FREE, LOG_STRENGTH_DEVIATION
 from classical.fit.quality import rectified_grid
 from classical.fit.rounds import Known, Settled
 from classical.fit.samples import CurveSamples
@@ -116,23 +116,25 @@ def fused_scale(
     covariance: Float[np.ndarray, "9 9"],
     estimates: Sequence[ScaleEstimate],
 ) -> FusedScale | None:
-    """One Kalman update of the scale by the estimates of several pictures; None without any.
+    """The scale corrected by the estimates of several pictures; None without any.
 
-    The lens is scaled and its shape stays. How sure the fit is of its scale is told by the whole
-    covariance: with all other numbers held, as along the tangent, it would seem twice as sure, and
-    many pictures of one lens would seem to tell what no line tells.
+    They count against what the fit says of its scale with all else held, which is surer than it
+    should be, for an estimate may be wrong altogether: its scene has no orthogonal directions. How
+    sure the result is follows from the fit's whole covariance and this gain.
     """
     if not estimates:
         return None
     precisions = np.array([estimate.deviation**-2 for estimate in estimates])
     scales = np.array([estimate.log_scale for estimate in estimates])
-    across = covariance @ scale_row(camera)
-    variance = scale_variance(camera, covariance)
-    spread = variance + 1 / precisions.sum()
-    gain = variance / spread
+    tangent = scale_tangent(camera)
+    free = covariance[np.ix_(FREE, FREE)]
+    held = float(1 / (tangent[FREE] @ np.linalg.solve(free, tangent[FREE])))
+    variance = float(1 / precisions.sum())
+    gain = held / (held + variance)
+    kept = np.eye(9) - gain * np.outer(tangent, scale_row(camera))
     log_scale = float(precisions @ scales / precisions.sum())
     return FusedScale(
         rescaled(camera, float(np.exp(gain * log_scale))),
-        covariance - np.outer(across, across) / spread,
+        kept @ covariance @ kept.T + gain**2 * variance * np.outer(tangent, tangent),
         gain,
     )
