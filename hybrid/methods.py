@@ -37,7 +37,7 @@ class Method:
         title: What it does, in a few words.
         factory: "module:name" of a function from a RectifyConfig to an Estimator.
         is_oriented: Whether all turned and mirrored copies of a picture look the same to it; what
-            others published sees pictures as they come.
+            others published, and a network alone, see pictures as they come.
     """
 
     name: str
@@ -59,7 +59,7 @@ METHODS = (
         "hybrid.estimators:ClassicalEstimator",
         is_oriented=True,
     ),
-    Method("learned", "LaRecNet alone", "hybrid.networks:LearnedEstimator", is_oriented=True),
+    Method("learned", "LaRecNet alone", "hybrid.networks:LearnedEstimator"),
     Method(
         "aleman-flores",
         "division model",
