@@ -16,6 +16,7 @@ from jaxtyping import Float, Shaped, UInt8
 from numpy import ndarray
 
 from classical.camera import KannalaBrandt
+from classical.lines.working import grey_picture
 from hybrid.methods import Estimator
 from hybrid.result import Calibration
 
@@ -50,7 +51,7 @@ class Orientation:
         height, width = pictures[0].shape[:2]
         rows, columns = np.zeros(height, np.int64), np.zeros(width, np.int64)
         for picture in pictures:  # whole numbers: a turned picture has the same sums, exactly
-            grey = cv2.cvtColor(picture, cv2.COLOR_RGB2GRAY)
+            grey = grey_picture(picture)
             rows += cv2.reduce(grey, 1, cv2.REDUCE_SUM, dtype=cv2.CV_32S).ravel()
             columns += cv2.reduce(grey, 0, cv2.REDUCE_SUM, dtype=cv2.CV_32S).ravel()
         is_upright = height > width
